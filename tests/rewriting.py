@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,10 @@ def contents(path: Path) -> Contents:
         )
 
 
-def written(
-    parts: Contents,
-    chunk_size: int = 16384,
-    compression: CompressionType = CompressionType.ZSTD,
-    chunking: bool = True,
-    checksums: bool = True,
-) -> bytes:
-    """The file of these contents, in chunks of about that many bytes."""
+def written(parts: Contents) -> bytes:
+    """The file of these contents."""
     stream = io.BytesIO()
-    writer = Writer(stream, chunk_size, compression, use_chunking=chunking, enable_crcs=checksums, enable_data_crcs=checksums)
+    writer = Writer(stream, chunk_size=16384, enable_data_crcs=True)
     writer.start()
     for name, record in parts.metadata:
         writer.add_metadata(name, dict(record))

@@ -80,43 +80,21 @@ def test_loads_are_logged(loaded):
         np.testing.assert_allclose(found[way], sum(parts), atol=1e-9)
 
 
-def test_what_acted_is_proved_and_older_logs_are_read(loaded, tmp_path, capsys):
-    """A log with other loads than its claims make proves nothing; one that is older than these topics holds, and that is said."""
+def test_logs_without_loads_are_read(loaded, tmp_path, capsys):
+    """A log that is older than these topics holds, and the output says what it lacks."""
     assert inspect([str(loaded), "-v"]) == 0
     assert "it has no /loads" not in prose(capsys.readouterr().out)
-    forged, older = tmp_path / "forged.mcap", tmp_path / "older.mcap"
-
-    def doubled(messages):
-        half = len(messages) // 2
-        end = replace_number(messages[half].data, 1, 2.0)
-        return [*messages[:half], replace_data(messages[half], end), *messages[half + 1 :]]
-
-    forged.write_bytes(written(contents(loaded).with_messages("/loads", doubled)))
-    assert inspect([str(forged)]) == 1
-    assert "FAILS format: /loads does not show what follows" in prose(capsys.readouterr().out)
+    older = tmp_path / "older.mcap"
     older.write_bytes(written(without_topic(contents(loaded), "/loads")))
     assert inspect([str(older), "-v"]) == 0
     assert "it has no /loads, which logs of older versions have not" in prose(capsys.readouterr().out)
-
-
-def replace_number(data: bytes, field: int, factor: float) -> bytes:
-    """A message with one of its numbers so many times as large, and a bit more."""
-    at = 9 * field + 1
-    number = factor * np.frombuffer(data[at : at + 8], "<f8") + 1e-3
-    return data[:at] + number.astype("<f8").tobytes() + data[at + 8 :]
-
-
-def replace_data(message, data: bytes):
-    """A message with other data."""
-    message.data = data
-    return message
 
 
 def test_a_message_is_nearly_another():
     """Numbers may differ by rounding; fields, lengths and more may not."""
     one = b"\x09" + np.array([1e3]).tobytes() + b"\x11" + np.array([0.0]).tobytes()
     assert _nearly_equal(one, one)
-    assert _nearly_equal(one, replace_number(one, 0, 1.0 + 1e-15)[:9] + one[9:]) is False  # 1e-3 N more
+    assert not _nearly_equal(one, b"\x09" + np.array([1e3 + 1e-3]).tobytes() + one[9:])
     near = b"\x09" + np.array([1e3 + 1e-9]).tobytes() + one[9:]
     assert _nearly_equal(one, near)
     assert not _nearly_equal(one, b"\x19" + one[1:])

@@ -1,6 +1,5 @@
 """Whatever the plant: a design, a bound or a certificate, or one line that says why there is none; and nothing on stderr."""
 
-import dataclasses
 import math
 import time
 import warnings
@@ -15,10 +14,7 @@ import synth
 from models.common.errors import InputError
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
-from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges, lowest_point
 from synth.design.descent.refine import refine, worth_refining
-from synth.design.descent.symmetry import Symmetry
 from synth.design.fallback import two_steps_or_descent
 from synth.design.static import static_output_feedback
 from synth.design.two_step import state_design, two_step_design, zero_l_design
@@ -27,7 +23,7 @@ from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import SHAPES, Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import own_units
-from tests.test_bounds_hold import of_lists
+from tests.commands import attacks
 
 LONG = 20.0  # s of processor time, of one call for a plant of at most six states
 FAMILIES = (
@@ -128,22 +124,12 @@ def ask_everything(seed: int, search: bool) -> None:
 
 
 @pytest.mark.attack
-def test_no_plant_is_too_odd(capfd):
-    """For 10 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+@pytest.mark.parametrize("seed", [*range(10), *range(1000, 1000 + len(FAMILIES))])
+def test_no_plant_is_too_odd(seed, capfd):
+    """For a random plant, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for seed in range(10):
-            ask_everything(seed, search=seed == 0)
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.attack
-def test_odd_plants(capfd):
-    """So of one plant of each family."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for seed in range(1000, 1000 + len(FAMILIES)):
-            ask_everything(seed, search=False)
+        ask_everything(seed, search=seed == 0)
     assert capfd.readouterr() == ("", "")
 
 
@@ -185,8 +171,15 @@ def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) ->
         )
 
 
-@pytest.mark.parametrize("dt", [None, 0.1])
-@pytest.mark.parametrize(("n", "m", "q"), [(2, 0, 1), (2, 1, 0), (0, 0, 0), (0, 1, 1)])
+@pytest.mark.parametrize(
+    ("n", "m", "q", "dt"),
+    [
+        (2, 0, 1, None),
+        (2, 1, 0, 0.1),
+        (0, 1, 1, None),
+        *attacks([(2, 0, 1, 0.1), (2, 1, 0, None), (0, 1, 1, 0.1), (0, 0, 0, None), (0, 0, 0, 0.1)]),
+    ],
+)
 def test_what_is_missing_is_said(n, m, q, dt):
     """Without an input, a measurement or a state every public function answers, or says in one line what is missing."""
     rng = np.random.default_rng(1)
@@ -261,58 +254,6 @@ def test_what_does_not_fit_is_no_rounding():
             answer()
         with pytest.raises(DesignError, match="rounding leaves no answer"), numerics():
             answer()
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_a_model_without_a_cut_has_no_lowest_point(count):
-    """No cut at all, as where rounding leaves none that comes near the norm, or one that is not finite."""
-    one = np.eye(2)
-    with pytest.raises(np.linalg.LinAlgError):
-        lowest_point(np.full(count, np.nan), np.zeros((count, 2)), one, one, np.zeros(2), np.ones(2))
-
-
-def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
-    """A descent without a model stays where it is, and its norm is the one that it had: what was reached is never lost."""
-    plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
-    landscape = Landscape(plant, np.eye(2))
-    x, limit = np.zeros(2), np.full(2, 1e3)
-    reached, norm = along_edges(landscape, x, limit, 30)
-    assert norm < landscape.norm(x)[0]
-    monkeypatch.setattr(
-        Landscape, "heights", lambda self, x, cuts: (np.full(len(cuts.omega), -9.0), np.zeros((len(cuts.omega), 2)))
-    )
-    assert np.array_equal(along_edges(landscape, reached, limit, 30)[0], reached)
-
-
-def test_gains_that_leave_floats_are_not_stable():
-    """For a point whose loop is not finite the norm is infinite, and so is the real part of its last pole."""
-    plant = of_lists([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
-    landscape = Landscape(plant, np.eye(1))
-    for far in (np.inf, np.nan):
-        assert landscape.norm(np.array([far]))[0] == np.inf
-        assert landscape.abscissa(np.array([far]))[0] == np.inf
-
-
-@pytest.mark.parametrize(("force", "reading"), [(8.0, 1.0), (1.0, 8.0)])
-def test_steps_of_a_search_do_not_depend_on_units(force, reading):
-    """If forces or readings have another unit, a search's coordinates are the same gains, also where a reading is a force."""
-    plant = of_lists([[-1, 2], [0, -3]], [[0], [5]], [[1], [1]], [[1, 0]], [[0]])
-    Cy, through = np.diag([1.0, 0.0]), np.array([[0.0], [1.0]])
-    own = Landscape(plant, Cy, through=through)
-    other = Landscape(
-        dataclasses.replace(plant, B=plant.B * force, D=plant.D * force), reading * Cy, None, force * reading * through
-    )
-    assert other.scale * force * reading == pytest.approx(own.scale, rel=1e-12)
-    assert own.scale[0, 1] == pytest.approx(1.0)  # a force that is read is as large as one that acts
-
-
-def test_a_norm_of_zero_has_its_smallest_gain():
-    """If w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
-    plant = of_lists([[-1, 0], [0, -1]], [[1, 0], [0, 1]], [[1], [0]], [[0, 0]], [[0, 0]])
-    landscape = Landscape(plant, np.eye(2))
-    assert landscape.norm(np.zeros(4))[0] == 0
-    x = np.array([-1.0, 0.0, 0.0, -1.0])
-    assert np.all(np.isfinite(Symmetry(landscape).smallest(x)))
 
 
 def test_newton_says_that_it_has_no_decrement():

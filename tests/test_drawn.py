@@ -16,8 +16,8 @@ from synth.vehicle.designer import Designer
 from tests.commands import attacks, in_the_suite
 from tests.curved import curved_text
 from tests.faults import built_with, scaled
-from tests.test_links import ALL
 from tests.test_loads import road_of
+from tests.test_vehicle_options import LINKS as ALL
 
 AXLES = {"quarter_car": ("",), "half_car": ("_front", "_rear"), "full_car": ("_front", "_rear")}
 HELD = {"quarter_car": "sprung_velocity", "half_car": "heave_velocity", "full_car": "heave_velocity"}

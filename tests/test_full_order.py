@@ -8,18 +8,20 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from models.laws.linear import LinearLaw
+from models.laws.linear import LinearLaw, static_law
 from models.vehicle.vehicle import read_vehicle
+from synth.analysis.certificate import FASTEST
 from synth.analysis.norm import hinf_norm
-from synth.analysis.stability import is_stable
+from synth.analysis.stability import is_stable, stability
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import FullOrderDesign, full_order_design
 from synth.design.full_order.riccati import WITHIN, central_law
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.units import speed
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
-from tests.commands import in_the_suite
+from tests.commands import attacks, in_the_suite
 from tests.shared import made
 from tests.test_bounds_hold import KINDS, a_plant
 from tests.test_units import Moved, any_plant, in_other_units
@@ -381,3 +383,81 @@ def test_hostile_plants(kind):
     else:
         pytest.fail("none has a controller")
     assert not any("\n" in line for line in said)
+
+
+# --- a static gain is one of full order, too --------------------------------------------------------------------------------
+
+
+GRID = np.concatenate([-np.logspace(-3, 3, 60), [0.0], np.logspace(-3, 3, 60)])
+BEATEN = 2e-3  # relative; full order ends within 0.1 % of the best it can follow, and rounds as much again on the way
+
+
+def best_on_the_grid(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> float:
+    """The smallest norm of the grid's static gains whose loops are stable, and not faster than what full order may be."""
+    norms, own = [np.inf], speed(plant)[0]
+    for K in GRID:
+        larger, gain = on_larger_plant(plant, Cy, static_law(np.array([[K]])), Dyw)
+        loop = larger.closed_loop(gain)
+        if stability(loop.A, loop.dt).stable and np.abs(np.linalg.eigvals(loop.differences.A)).max() <= FASTEST * own:
+            norms.append(hinf_norm(loop).value)
+    return min(norms)
+
+
+def first_order(a: float, noise: float, dt: float | None = 1.0) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
+    """x' (or x+) = a x + u + w, z = [x; 0.1 u], y = x + noise v."""
+    A, one = np.array([[a]]), np.eye(1)
+    plant = GeneralizedPlant(
+        A, one, np.array([[1.0, 0]]), np.array([[1.0], [0]]), np.array([[0], [0.1]]), np.zeros((2, 2)), dt=dt
+    )
+    return plant, one, np.array([[0, noise]])
+
+
+def any_noisy(seed: int, dt: float | None) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
+    """A random plant of one to three states with one noisy measurement, stable or not, and a force that costs something."""
+    rng = np.random.default_rng([17, seed])
+    n = int(rng.integers(1, 4))
+    A = rng.standard_normal((n, n))
+    if dt is not None:
+        A *= rng.uniform(0.3, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+    Bw = np.hstack([rng.standard_normal((n, 1)), np.zeros((n, 1))])
+    C, D = np.vstack([rng.standard_normal((1, n)), np.zeros((1, n))]), np.array([[0.0], [10 ** rng.uniform(-2, 0)]])
+    plant = GeneralizedPlant(A, rng.standard_normal((n, 1)), Bw, C, D, np.zeros((2, 2)), dt=dt)
+    return plant, rng.standard_normal((1, n)), np.array([[0, 10 ** rng.uniform(-2, 0)]])
+
+
+def assert_bounded(found: FullOrderDesign) -> None:
+    """The certificate of a design holds, of a discrete plant too, and a remark is made where the lower bound is not reached."""
+    assert not found.certificate.failures
+    assert found.certificate.lower_bound is not None
+    assert found.certificate.lower_bound <= found.certificate.norm.value
+    assert ("above" in found.remark) == (found.certificate.norm.value > found.certificate.lower_bound * (1 + WITHIN))
+
+
+def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> FullOrderDesign:
+    """Checks what the tests below claim, and returns the design that it is claimed of."""
+    found = full_order_design(plant, Cy, Dyw)
+    assert_bounded(found)
+    assert found.certificate.norm.value <= best_on_the_grid(plant, Cy, Dyw) * (1 + BEATEN)
+    return found
+
+
+@pytest.mark.parametrize(("a", "dt"), [(0.5, 1.0), *attacks([(-0.5, None)])])
+def test_static_gain_next_to_the_bound(a, dt):
+    """If the central law needs a pole a thousand times as fast, what is left of it without that pole is as near, and taken."""
+    found = no_grid_beats(*first_order(a, 0.1, dt))
+    assert found.remark == ""
+    assert found.certificate.speed_up < FASTEST
+
+
+@pytest.mark.parametrize(("seed", "dt"), [(1, None), *attacks([(12, None), (2, 0.1), (100, None), (101, 0.1)])])
+def test_no_static_gain_is_better(seed, dt):
+    """For random plants no static gain of a grid beats full order by more than 0.2 %."""
+    no_grid_beats(*any_noisy(seed, dt))
+
+
+@pytest.mark.parametrize(("side", "distance"), [(-1, 1e-13), *attacks([(1, 0.0), (-1, 0.0), (-1, 1e-6), (1, 1e-8)])])
+def test_poles_next_to_the_unit_circle_at_real_points(side, distance):
+    """With a pole next to z = -1, where the map has no place for it, or next to 1 a law is as near as the best static gain."""
+    found = full_order_design(*first_order(side * (1 - distance), 0.0))
+    assert_bounded(found)
+    assert found.certificate.norm.value <= 1.00499 * (1 + BEATEN)  # what a grid's best static gain has of each

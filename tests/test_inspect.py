@@ -3,11 +3,9 @@
 import csv
 import functools
 import json
-import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +31,7 @@ from sim.recording.run_records import record_runs
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from tests.analysed import predict
-from tests.commands import prose
+from tests.commands import prose, refused
 from tests.pages import hopper
 from tests.rewriting import Contents, contents, written
 from tests.shared import printed
@@ -305,41 +303,24 @@ def attached(file: str, old: bytes, new: bytes) -> Callable[[Contents], Contents
 OFF_THE_ROAD = after("/mujoco", 150, scaled("/mujoco", 6, 1 + 1e-4))
 CHANGES = {
     "a norm": (claim("norm", "7.843", "7.842"), ("certificate", "FAILS")),
-    "a bound": (claim("bound", "7.871", "7.872"), ("certificate", "FAILS")),
     "a bound that its proof does not prove": (claim("certificate", '"bound": 7.87', '"bound": 7.83'), ("certificate", "FAILS")),
-    "a better lower bound": (claim("certificate", '"lower_bound": 7.83', '"lower_bound": 7.84'), ("certificate", "FAILS")),
-    "a pole": (claim("poles", "-3.2", "-3.3"), ("certificate", "FAILS")),
-    "stability": (claim("stable", "true", "false"), ("certificate", "FAILS")),
     "a gain": (claim("gain", "10825", "10826"), ("certificate", "FAILS")),
     "a measurement": (claim("measured", "sprung_velocity", "tyre_deflection"), ("controller", "FAILS")),
     "a road": (claim("road", '"height": 0.2', '"height": 0.21'), ("linear response", "FAILS")),
-    "a limit": (claim("limits", "null", "0.08"), ("controller", "FAILS")),
     "a delay": (claim("implementation", '"delay": 0', '"delay": 3'), ("linear response", "FAILS")),
     "agreement": (claim("agrees", "true", "false"), ("physics", "FAILS")),
-    "a lift-off": (claim("lift_off", "[[0.", "[[1."), ("physics", "FAILS")),
-    "an error": (claim("errors", '"sprung_velocity": ', '"sprung_velocity": 1'), ("physics", "FAILS")),
-    "samples": (claim("samples", "201", "202"), ("samples", "missing")),
     "the physics": (scaled("/mujoco", 6, 1 + 1e-4), ("physics", "FAILS")),
-    "the physics' road": (scaled("/mujoco", 0, 1 + 1e-6), ("physics", "FAILS")),
     "the physics off the road": (OFF_THE_ROAD, ("energy", "FAILS")),
     "the physics, with no claim of energy": (lambda p: OFF_THE_ROAD(p.without_claim("run/I", "energy")), ("energy", "FAILS")),
     "no claim of energy": (lambda p: p.without_claim("run/I", "energy"), ("energy", "FAILS")),
-    "the energy": (claim("energy", '"dissipated": ', '"dissipated": 1'), ("energy", "FAILS")),
-    "that it balances": (claim("energy", '"balances": true', '"balances": false'), ("energy", "FAILS")),
-    "the result's energy": (attached("result.json", b'"dissipated": ', b'"dissipated": 1'), ("result", "FAILS")),
     "the linear response": (scaled("/linear", 2, 1 + 1e-7), ("linear response", "FAILS")),
-    "the continuous response": (scaled("/continuous", 2, 1 + 1e-7), ("linear response", "FAILS")),
     "a mass": (attached("vehicle.toml", b"504.5", b"504.6"), ("certificate", "FAILS")),
     "the model": (attached("model.xml", b"504.5", b"504.6"), ("model", "FAILS")),
     "the result": (attached("result.json", b'"peak": {"mujoco": 0.', b'"peak": {"mujoco": 1.'), ("result", "FAILS")),
-    "the result's road": (attached("result.json", b'"speed": 25.0', b'"speed": 25.1'), ("result", "FAILS")),
-    "a run that is not logged": (attached("result.json", b'"runs": [', b'"runs": [{}, '), ("result", "missing")),
     "an empty result": (lambda p: p.with_attachment("result.json", lambda data: b"{}"), ("result", "missing")),
-    "no model": (lambda p: replace(p, attachments=[a for a in p.attachments if a[0] != "model.xml"]), ("model", "missing")),
     "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
     "no physics": (lambda p: p.with_messages("/mujoco", lambda m: []), ("responses", "missing")),
     "a gap": (lambda p: p.with_messages("/linear", lambda m: m[:100] + m[101:]), ("samples", "missing")),
-    "no claim": (lambda p: p.without_claim("run/I", "agrees"), ("physics", "FAILS")),
 }
 
 
@@ -483,14 +464,18 @@ def test_another_format(change, said, parts, tmp_path, capsys):
 
 
 def test_unchanged_is_proved(parts, tmp_path, capsys):
-    """The same, written anew with nothing changed, is proved, in chunks of any size: no test above passes for another reason."""
-    for size in (1000, 10**7):
-        path = tmp_path / f"{size}.mcap"
-        path.write_bytes(written(parts, size))
-        assert inspected(path, capsys)[0] == 0
+    """The same log, written again without a change, is proved, and what no log can show is listed."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(written(parts))
+    assert main([str(path), "-v"]) == 0
+    assert (
+        " note unchecked: who wrote it and when, with which versions and library, in which folders vehicle file and log lay, "
+        "what a road file held before it was read, the index behind the data, which players ask, whether a controller keeps "
+        "goals of its section "
+    ) in prose(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("share", [0.25, 0.6, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.6, 0.999])
 def test_cut_short(share, parts, tmp_path, capsys):
     """For a cut log, whole chunks are read and proved as far as they go, and what is missing is said."""
     whole = written(parts)
@@ -509,96 +494,18 @@ def test_cut_short(share, parts, tmp_path, capsys):
         assert re.fullmatch(r"it ends at 0\.\d+ s of 0\.2 s: \d+ of 201 samples are missing", texts[0])
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.attack)])
-def test_every_flipped_bit_is_found(count, tmp_path, capsys):
-    """No bit of a log can change unseen: every byte is under a checksum, or is one."""
-    log = logged("sim.bump", "--controller", "passive", "--duration", "0.05")
-    whole, rng = log.read_bytes(), np.random.default_rng(0)
-    path = tmp_path / "flipped.mcap"
-    ends = rng.choice(np.arange(len(whole) - 40, len(whole)), count, replace=False)  # footer and magic
-    places = [*rng.integers(len(whole), size=count).tolist(), *ends.tolist(), 0, 8, 9, 20]
-    for place in places:
-        changed = bytearray(whole)
-        changed[place] ^= 1 << int(rng.integers(8))
-        path.write_bytes(changed)
-        try:
-            code, _ = inspected(path, capsys)
-        except InputError:
-            code = 2
-        assert code in (1, 2), f"byte {place}"
-
-
-def test_checksums_that_are_not_there(parts, tmp_path, capsys):
-    """Zero stands for no checksum. A run of ours writes them all; of an older log it is said how many there are."""
-    path = tmp_path / "unsummed.mcap"
-    whole = written(parts, 10**7)
-    in_footer, in_data_end = len(whole) - 12, whole.rindex(b"\x0f\x04" + bytes(7)) + 9
-    for place in (in_footer, in_data_end):
-        assert whole[place : place + 4] != bytes(4), "the test changes what is there"
-    wiped = [whole[:place] + bytes(4) + whole[place + 4 :] for place in (in_footer, in_data_end)]
-    every = 6  # three attachments, one chunk, data, index
-    for content, absent in ((wiped[0], 1), (wiped[1], 1), (written(parts, 10**7, checksums=False), 3)):
-        path.write_bytes(content)
-        code, found = inspected(path, capsys)
-        assert code == 1
-        texts = [one["text"] for one in found["findings"] if one["part"] == "file"]
-        assert texts == [f"{absent} of {every} checksums not there; a run of ours writes them all"]
-    path.write_bytes(written(older(parts), 10**7, checksums=False))
-    code, found = inspected(path, capsys)
-    assert code == 0
-    said = f"1 chunk(s), {len(parts.messages)} messages, {every - 3} checksums right, 3 others not there"
-    assert found["findings"][0]["text"] == said
-
-
-def test_line_that_cannot_have_written_the_log(parts, tmp_path, capsys):
-    """The line asks for logs, and is no longer than a command's can be: what is longer is not even split."""
-    path = tmp_path / "line.mcap"
-    for change, said in (
-        (lambda line: re.sub(r"--logs \S+", "--no-logs", line), "its line asks for no log"),
-        (lambda line: line + " --x" * 250_000, r"its line has \d+ characters, and a command's has at most 32767"),
-    ):
-        path.write_bytes(written(parts.with_claim("roadproof", "command_line", change)))
-        begin = time.process_time()
-        code, found = inspected(path, capsys)
-        assert time.process_time() - begin < 10  # promised of any log; 2 s measured, and minutes where such a line is parsed
-        assert (code, broken(found)) == (1, {("command", "FAILS")})
-        (text,) = [one["text"] for one in found["findings"] if one["part"] == "command"]
-        assert re.fullmatch(said, text)
-
-
 # --- what is none ----------------------------------------------------------------------------------------------------------
 
 
 def test_no_log_is_refused(tmp_path, parts):
-    """A file that is no log of ours is refused by one line."""
-    os.mkfifo(tmp_path / "pipe")
+    """A file that is not a log of Roadproof is refused with one line."""
     (tmp_path / "text").write_text("time,height\n")
     (tmp_path / "empty").touch()
     (tmp_path / "others").write_bytes(written(replace(parts, metadata=[("other", {})])))
-    (tmp_path / "paths").write_bytes(written(replace(parts, metadata=[*parts.metadata, ("run/../../x", {})])))
     (tmp_path / "stub").write_bytes(written(parts)[:40])
-    for name in ("pipe", "text", "empty", "others", "paths", "stub", "absent", "."):
-        with pytest.raises(InputError, match=r"^log .*; give an \.mcap file that a run has written$|^log .*no names that ours"):
+    for name in ("text", "empty", "others", "stub", "absent", "."):
+        with refused(match="^log "):
             main([str(tmp_path / name)])
-
-
-def test_what_is_no_file(tmp_path):
-    """A folder, a device, a pipe, a loop of links, a link to nothing, and nothing: one true line each, and no wait."""
-    (tmp_path / "folder").mkdir()
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    (tmp_path / "dangling").symlink_to(tmp_path / "absent")
-    for path, said in {
-        tmp_path / "folder": "is a folder, not a plain file",
-        Path(os.devnull): "is a device, not a plain file",
-        tmp_path / "pipe": "is a pipe, not a plain file",
-        tmp_path / "loop": "is a loop of links",
-        tmp_path / "dangling": "is a link to nothing",
-        tmp_path / "absent": "there is no such file",
-    }.items():
-        with pytest.raises(InputError) as caught:
-            main([str(path)])
-        assert str(caught.value) == f"log {path}: {said}; {GIVE}"
 
 
 def test_command(log, tmp_path):
@@ -619,16 +526,6 @@ for path in sys.argv[1:]:
     assert (refused, proved[:2], no_solver) == ("", "2\n", "0\nset()\n")
     assert proved.endswith("the log still proves what it claims\n")
     assert "command   python" in proved
-
-
-def test_text_does_not_steer_the_terminal(parts, tmp_path, capsys):
-    """Text of a log is shown, not obeyed."""
-    path = tmp_path / "escape.mcap"
-    path.write_bytes(written(parts.with_claim("roadproof", "command_line", lambda _: "\x1b[2J\nthe log still proves\u202e")))
-    main([str(path)])
-    out = capsys.readouterr().out
-    assert "\\x1b[2J\\nthe log still proves\\u202e" in out
-    assert "\x1b" not in out
 
 
 def test_csv(log, tmp_path, capsys):

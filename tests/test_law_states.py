@@ -142,6 +142,21 @@ def test_another_state_is_found(topic, part, column, log, tmp_path, capsys):
     assert ("energy", "FAILS") not in found, "the vehicle's own signals are right"
 
 
+@pytest.mark.parametrize("key", ["A", *attacks(["B", "C", "D"])])
+def test_another_law_is_found(key, log, tmp_path, capsys):
+    """A log whose claims have another entry of A, B, C or D fails."""
+
+    def change(text: str) -> str:
+        rows = json.loads(text)
+        rows[0][0] *= 1.001
+        return json.dumps(rows)
+
+    (tmp_path / "changed.mcap").write_bytes(written(contents(log).with_claim("run/accelerometer", key, change)))
+    code, found = inspected(tmp_path / "changed.mcap", capsys)
+    assert code == 1
+    assert any(verdict == "FAILS" for _, verdict in found)
+
+
 def run_of_many_states(count: int):
     """A run of a law with so many states, as it is logged."""
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits())

@@ -12,7 +12,7 @@ from sim.campaign.verify import SAME_GAIN, _same_law
 from synth.__main__ import main
 from synth.command.check import UNPROVED, proved
 from synth.vehicle.designer import Designer, certify_given
-from tests.test_forged_states import law_of
+from tests.test_false_certificates import law_of
 
 
 def rows(capsys, *options: str) -> dict[str, dict]:

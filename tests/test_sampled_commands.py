@@ -1,18 +1,24 @@
-"""`python -m synth --rates`: what slower computers cost a controller, and where its loop is lost."""
+"""The sampled loop in the commands: norms as built in tables, certificates and logs, and what slower computers cost."""
 
 import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import synth.vehicle.sample_rate.cost
 import synth.vehicle.sample_rate.report
+from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, delay_text
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
+from sim.margins import main as margins
+from sim.report.__main__ import main as report
 from synth.__main__ import main
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
@@ -24,9 +30,237 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure, short_lines
-from tests.analysed import implemented_loop
+from tests.analysed import implemented_loop, sampled_radius
 from tests.commands import attacks, once, prose
+from tests.rewriting import contents, written
 from tests.shared import made
+
+BUILT = "\n[implementation]\nsample_period = 0.01\ndelay = 1\n"
+
+
+@pytest.fixture
+def built(tmp_path, paper) -> Path:
+    """The paper's car with a computer."""
+    path = tmp_path / "built.toml"
+    path.write_text(paper.text + BUILT)
+    return path
+
+
+def said(capsys, *arguments: str) -> tuple[int, dict]:
+    """Exit code and JSON object of `python -m synth`."""
+    code = main([*arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_json_and_table(built, capsys):
+    """The table prints JSON's numbers, between the levels that prove them; an actual road reaches it."""
+    code, found = said(capsys, "--vehicle", str(built))
+    assert code == 0
+    main(["--vehicle", str(built), "-v"])
+    text = capsys.readouterr().out
+    assert max(len(line) for line in text.splitlines() if str(built) not in line) <= 80
+    rows = dict(re.findall(r"^(\w+) +\S+ +\S+ +(\S+) +\S+ +\S+ +\S+$", text, re.MULTILINE))
+    for one in found["controllers"]:
+        proof = one["sampled_norm_proof"]
+        assert proof["above"] < one["sampled_norm"] < proof["below"] < one["sampled_norm"] * (1 + 2e-8)  # as they are apart
+        assert proof["reached"] == pytest.approx(one["sampled_norm"], rel=1e-9)  # polynomials of degree 3 over 2.5 ms
+        assert rows[one["name"]] == f"{one['sampled_norm']:.7g}"
+        assert one["sampled_norm"] > one["lower_bound"]
+        assert one["certificate"]["sampled_norm"] == one["sampled_norm"]
+        if one["name"] == "I":
+            share = f"{100 * (one['sampled_norm'] / one['norm'] - 1):.2g} % above the ideal loop's"
+            assert f"sampled norm {one['sampled_norm']:.7g}, {share}" in prose(text)
+            assert prose(text).count("a sample every 10 ms, forces that act 1 sample late") == 1  # of all controllers
+            assert f"less than {proof['below']:.9g} by level sets, and a road reaches {proof['reached']:.9g} of" in prose(text)
+
+
+def test_nothing_without_a_computer(capsys):
+    """A vehicle file that says nothing of its computer has no such number, and no such column."""
+    _, found = said(capsys, "--controller", "I")
+    assert "sampled_norm" not in found["controllers"][0]
+    assert "sampled_norm" not in found["controllers"][0]["certificate"]
+    main(["--controller", "I", "-v"])
+    assert "sampled" not in capsys.readouterr().out.partition("\n\n")[2]  # behind the file, whose folder may have any name
+
+
+@pytest.mark.parametrize("asked", ["noise", "lag"])
+def test_norms_of_other_goals_are_not_compared(built, asked, capsys):
+    """A controller that is designed for its noise or lag has an ideal norm of another w or z: no share of it is printed."""
+    plain = 'measured = ["sprung_velocity"]\ngain = [[-8000.0]]\n'
+    built.write_text(
+        f"{built.read_text()}noise = {{ sprung_velocity = 0.005 }}\n[limits]\nactuator_bandwidth = 60.0\n"
+        f"[controllers.plain]\n{plain}[controllers.asked]\n{plain}{asked} = true\n"
+    )
+    main(["--vehicle", str(built), "--controller", "plain", "--controller", "asked", "-v"])
+    text = prose(capsys.readouterr().out)
+    norms = [re.split(r", with|it is less", part)[0] for part in text.split("sampled norm ")[1:3]]
+    plain_norm, asked_norm = (float(re.split("[, :]", norm)[0]) for norm in norms)
+    # With the lag the loops as built are the same; noise of the readings counts where it is asked for, and then it adds.
+    assert plain_norm < asked_norm if asked == "noise" else plain_norm == asked_norm
+    assert "the ideal loop's" in norms[0]
+    assert "the ideal loop's" not in norms[1]
+
+
+def test_unstable_as_built(built, capsys):
+    """At a rate that the loop does not bear, that is said, and no number stands there."""
+    built.write_text(built.read_text().replace("0.01", "0.3"))
+    _, found = said(capsys, "--vehicle", str(built), "--controller", "II")
+    assert found["controllers"][0]["sampled_norm"] is None
+    assert "sampled_norm" not in found["controllers"][0]["certificate"]
+    main(["--vehicle", str(built), "--controller", "II", "-v"])
+    text = capsys.readouterr().out
+    assert "sampled norm infinite: UNSTABLE with a sample every 300 ms" in prose(text)
+    assert re.search(r"^II +\S+ +\S+ +UNSTABLE ", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize("change", ["digit", *attacks(["period", "none"])])
+def test_saved_and_checked(built, tmp_path, capsys, change):
+    """A certificate says the norm as built, and is refused where that is another: of another rate, or by a hair, or of none."""
+    saved = tmp_path / "saved.toml"
+    assert said(capsys, "--vehicle", str(built), "--controller", "I", "--save", str(saved))[0] == 0
+    assert said(capsys, "--check", str(saved), "--controller", "I_designed")[0] == 0
+    text = saved.read_text()
+    (claimed,) = re.findall(r"^sampled_norm = (.*)$", text, re.MULTILINE)
+    changed = {
+        "period": text.replace("sample_period = 0.01", "sample_period = 0.011"),
+        "digit": text.replace(claimed, repr(float(claimed) * (1 - 1e-6))),
+        "none": text.replace(BUILT.strip(), ""),
+    }[change]
+    saved.write_text(changed)
+    code, found = said(capsys, "--check", str(saved), "--controller", "I_designed")
+    (failure,) = found["controllers"][0]["failures"]
+    assert code == 1
+    assert failure.startswith("the sampled norm is claimed to be 7.87")
+    assert ("neither sample_period nor delay" in failure) == (change == "none")
+    bump(["--vehicle", str(saved), "--controller", "I_designed", "--no-logs", "--duration", "0.1"])
+    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().err)
+
+
+def test_inspected(built, tmp_path, capsys):
+    """A log claims the norm as built; inspection finds it again, and refuses another."""
+    bump(["--vehicle", str(built), "--controller", "I", "--logs", str(tmp_path), "--duration", "0.5", "-v"])
+    capsys.readouterr()
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log), "-v"]) == 0
+    vehicle = read_vehicle(str(built))
+    norm = norm_as_implemented(vehicle, design(vehicle, "I"))
+    assert f"sampled norm {norm.value:.7g}" in prose(capsys.readouterr().out)
+
+    def forge(claim: str) -> str:
+        record = json.loads(claim)
+        return json.dumps(record | {"sampled_norm": record["sampled_norm"] * (1 - 1e-6)})
+
+    forged = tmp_path / "forged.mcap"
+    forged.write_bytes(written(contents(log).with_claim("run/I", "certificate", forge)))
+    assert inspect([str(forged)]) == 1
+    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().out)
+
+
+# --- loops that are stable only with samples, or without -----------------------------------------------------------------
+
+
+SLOW = "\n[implementation]\nsample_period = 0.05\n"  # s: at 20 Hz what is best with samples is unstable without
+HELD = f"{SLOW}sampled = true\n"
+WITHOUT = "without a computer its loop is unstable"
+
+
+@pytest.fixture
+def held(tmp_path, paper):
+    """The paper's car, designed for a slow computer."""
+    path = tmp_path / "held.toml"
+    path.write_text(paper.text + HELD)
+    return path
+
+
+@pytest.mark.attack
+def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
+    """Its loop is stable as it runs, by a route of its own, and has a norm: no claim fails, in the table, in JSON, or saved."""
+    vehicle = read_vehicle(str(held))
+    controller = design(vehicle, "I")
+    assert not controller.certificate.stable
+    assert sampled_radius(vehicle, controller, 0.05) < 1
+    saved = tmp_path / "saved.toml"
+    assert main(["--vehicle", str(held), "--controller", "I", "--save", str(saved), "--json"]) == 0
+    assert design(read_vehicle(str(saved)), "I_designed").false_claims == ()
+    (row,) = json.loads(capsys.readouterr().out)["controllers"]
+    assert row["failures"] == []
+    assert row["norm"] is None
+    assert row["certificate"].keys() & {"norm", "bound", "sampled_norm"} == {"sampled_norm"}
+    for arguments in (["--vehicle", str(held), "--controller", "I"], ["--check", str(saved), "--controller", "I_designed"]):
+        assert main([*arguments, "-v"]) == 0
+        text = capsys.readouterr().out
+        assert WITHOUT in prose(text)
+        assert "FAILS" not in text
+        (line,) = [each for each in text.splitlines() if each.startswith(("I  ", "I_designed  "))]
+        assert re.search(rf"UNSTABLE .*{row['sampled_norm']:.7g}", line)
+        assert "every claim holds, of 1 controller\n" in text
+
+
+@pytest.mark.attack
+def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
+    """MuJoCo drives it as analysis says, and what its log claims is found to hold."""
+    where = str(tmp_path / "logs")
+    assert bump(["--vehicle", str(held), "--controller", "I", "--logs", where, "--duration", "1", "-v"]) == 0
+    assert WITHOUT in prose(capsys.readouterr().out)
+    assert inspect([str(next((tmp_path / "logs").glob("*.mcap"))), "-v"]) == 0
+    text = prose(capsys.readouterr().out)
+    assert WITHOUT in text
+    assert "sampled norm 8.32" in text
+
+
+@pytest.mark.attack
+def test_rates_of_it(held, capsys):
+    """Rates say from where its loop is stable again."""
+    assert main(["--vehicle", str(held), "--controller", "I", "--rates", "50"]) == 0
+    text = prose(capsys.readouterr().out)
+    assert "controller I is unstable in continuous time; at once it" in text
+    assert "(50 ms is stable again)" in text
+
+
+def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys):
+    """A design for the ideal loop, on a computer that loses it: its claims hold, and the last line names it."""
+    path = tmp_path / "lost.toml"
+    path.write_text(f"{paper.text}\n[implementation]\nsample_period = 0.15\ndelay = 5\n")
+    assert main(["--vehicle", str(path), "--controller", "I", "--controller", "passive", "-v"]) == 0
+    assert prose(capsys.readouterr().out).endswith("every claim holds, of 2 controllers; UNSTABLE as the computer runs it: I")
+
+
+@pytest.mark.attack
+def test_a_report_of_it(held, tmp_path, capsys):
+    """A report treats it as stable: its norm as built, its responses and the end of its regime, and no ideal norm."""
+    quick = ["--vehicle", str(held), "--controller", "I", "--quick", "--timestep", "2.5e-3"]
+    assert report([*quick, "--out", str(tmp_path / "r.html"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert any("`I` is stable as built, and UNSTABLE as the ideal loop" in text for text in said["answer"])
+    tables = said["tables"]
+    assert tables["designs"][0]["certificate"].startswith(WITHOUT)
+    assert tables["norms"][0]["norm, ideal loop"] == tables["norms"][0]["that is"] == "-"
+    assert float(tables["norms"][0]["norm, as built"]) < 9  # 8.894
+    assert tables["frequency-responses"]
+    assert tables["regime"]
+
+
+@pytest.mark.attack
+def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held, monkeypatch):
+    """A sampled design keeps its gain where margins are found without the computer; where it has none, that is the reason."""
+    with pytest.raises(InputError, match="without a computer its loop is not stable"):
+        margins(["--vehicle", str(held), "--controller", "I"])
+    held.write_text(held.read_text().replace("sample_period = 0.05", "sample_period = 0.01"))
+    found = []
+
+    def begun(vehicle, controller, *_):
+        found.append(controller)
+        raise InputError("far enough")
+
+    monkeypatch.setattr("sim.studies.stability.margin_search.find_margins", begun)
+    with pytest.raises(InputError, match="far enough"):
+        margins(["--vehicle", str(held), "--controller", "I"])
+    (controller,) = found
+    np.testing.assert_array_equal(controller.gain, design(read_vehicle(str(held)), "I").gain)
+
+
+# --- `python -m synth --rates` --------------------------------------------------------------------------------------------
+
 
 RATES = ("10", "100")  # ms; II is lost before the last where forces are late
 
@@ -120,7 +354,8 @@ def test_every_norm_is_that_of_the_loop_as_built(car, never_lost):
             assert norm.value == pytest.approx(own.value, rel=2e-8)  # each lies within 1.1e-8 of its levels
 
 
-@pytest.mark.parametrize("name", ["quiet", pytest.param("I", marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ["quiet", "I"])
 def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     """With a lag, and of a design that knows the noise of its sensors, it is the norm of the road alone, with the lag."""
     text = read_vehicle("quarter_car").text + (
@@ -174,28 +409,6 @@ def test_table(capsys, never_lost, norms_once, rates, names):
     lost = {name for name, row in rows.items() if row["rates"][-1]["late_norm"] is None}
     assert ("II" in lost) == (rates[-1] == "100")  # 1 sample late it is lost at 18 Hz
     assert ("UNSTABLE" in printed) == bool(lost)
-
-
-@pytest.mark.attack
-def test_designed_for_the_rate(never_lost):
-    """At 10 ms a design for the sampled loop has at most the norm that was found before, and below that of the other."""
-    vehicle = read_vehicle("quarter_car")
-    (at,) = cost(vehicle, design(vehicle, "II"), [1e-2], [1e-2]).rates  # others are in test_sampled_designs.py
-    assert at.designed is not None
-    assert at.designed.value <= 7.881
-    assert at.designed.value < at.undelayed_norm.value
-    given = cost(vehicle, design(vehicle, "I_printed"), [1e-2], [1e-2])
-    assert given.rates[0].designed is None  # its gain is given, and not designed
-
-
-@pytest.mark.attack
-def test_what_is_designed_for_a_rate_is_never_worse():
-    """At every rate the norm of the design for it is at most that of the continuous design there."""
-    vehicle, periods = read_vehicle("half_car"), [1e-3, 0.1, 0.5]
-    for at in cost(vehicle, design(vehicle, "II"), periods, periods).rates:
-        assert at.designed is not None
-        # What counts as reached, and the rounding of two norms.
-        assert at.designed.value <= at.undelayed_norm.value * (1 + 2e-7)
 
 
 @pytest.mark.attack
@@ -304,29 +517,24 @@ def test_other_sentences(name, words, tmp_path, capsys, request):
     assert prose(capsys.readouterr().out).endswith(words)
 
 
-def test_what_does_not_hold_is_said(monkeypatch, capsys):
-    """If two routes to a norm differ, that is said, and the exit code is 1."""
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.9, "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a disturbance"),
+        (1 + 1e-7, "at once: the sampled norm is not less than 7.865064"),
+    ],
+)
+def test_what_does_not_hold_is_said(share, words, monkeypatch, capsys, never_lost):
+    """If a road reaches less than the norm, or more, that is printed, and the exit code is 1."""
     true = synth.vehicle.sample_rate.cost.sampled_norm
-    monkeypatch.setattr(
-        synth.vehicle.sample_rate.cost,
-        "sampled_norm",
-        lambda *arguments: replace(true(*arguments), reached=0.9 * true(*arguments).value),
-    )
-    assert main(["--rates", "10", "--controller", "I"]) == 1
-    said = prose(capsys.readouterr().out)
-    assert "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.86506444 and what a disturbance" in said
 
+    def other(*arguments):
+        return replace(true(*arguments), reached=share * true(*arguments).value)
 
-def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
-    """A road that reaches more than the norm's upper level fails, however near the two routes are."""
-    true = synth.vehicle.sample_rate.cost.sampled_norm
-    monkeypatch.setattr(
-        synth.vehicle.sample_rate.cost,
-        "sampled_norm",
-        lambda *arguments: replace(true(*arguments), reached=true(*arguments).upper * (1 + 1e-10)),
-    )
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "sampled_norm", other)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
     assert main(["--rates", "10", "--controller", "I"]) == 1
-    assert "at once: the sampled norm is not less than 7.865064" in prose(capsys.readouterr().out)
+    assert words in prose(capsys.readouterr().out)
 
 
 def test_what_is_not_designed_is_said(tmp_path, capsys, monkeypatch, never_lost):
