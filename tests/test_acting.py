@@ -11,18 +11,14 @@ import rerun.blueprint as rrb
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
-from sim.inspect.__main__ import main as inspect
-from sim.inspect.log import read_log
 from sim.recording.foxglove_layout import foxglove_layout
-from sim.recording.mcap_writer import _nearly_equal
 from sim.recording.rerun_writer import _page, write_rrd
 from sim.recording.run_records import run_log
 from sim.runs.force_diagram import diagrams, pulled
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
-from tests.commands import prose
 from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
-from tests.rewriting import Contents, contents, written
+from tests.rewriting import contents
 from tests.test_rerun import _parts, rows
 
 HISTORY = "time [s],roll [kN m]\n0,0\n0.5,1\n1,0\n"
@@ -30,23 +26,14 @@ HISTORY = "time [s],roll [kN m]\n0,0\n0.5,1\n1,0\n"
 
 def topic_of(log: Path, topic: str) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, str]]:
     """Times [s], fields, and units of a topic of doubles, by the reader that knows the responses alone."""
-    found = read_log(log).file.channels[topic]
-    tags = [number << 3 | 1 for number in range(1, len(found.metadata) + 1)]
-    assert all(tag < 128 for tag in tags), "a tag of one byte"
-    values = np.ascontiguousarray(found.rows().reshape(len(found.times), -1, 9)[:, :, 1:]).view("<f8")[..., 0]
-    units = {name: json.loads(about)["unit"] for name, about in found.metadata.items()}
-    return found.times * 1e-9, dict(zip(units, values.T, strict=True)), units
-
-
-def without_topic(log: Contents, topic: str) -> Contents:
-    """A log as an older version wrote it."""
-    (gone,) = [channel for channel in log.channels if channel.topic == topic]
-    return replace(
-        log,
-        schemas=[schema for schema in log.schemas if schema.id != gone.schema_id],
-        channels=[channel for channel in log.channels if channel is not gone],
-        messages=[message for message in log.messages if message.channel_id != gone.id],
-    )
+    whole = contents(log)
+    (channel,) = [one for one in whole.channels if one.topic == topic]
+    messages = [message for message in whole.messages if message.channel_id == channel.id]
+    rows = np.frombuffer(b"".join(message.data for message in messages), np.uint8).reshape(len(messages), -1, 9)
+    values = np.ascontiguousarray(rows[:, :, 1:]).view("<f8")[..., 0]  # each behind a tag of one byte
+    units = {name: json.loads(about)["unit"] for name, about in channel.metadata.items()}
+    times = np.array([message.log_time for message in messages]) * 1e-9
+    return times, dict(zip(units, values.T, strict=True)), units
 
 
 @pytest.fixture(scope="module")
@@ -78,28 +65,6 @@ def test_loads_are_logged(loaded):
     for way in ("heave_load", "pitch_load", "roll_load"):
         parts = [values for name, values in found.items() if name.endswith(f"_{way}")]
         np.testing.assert_allclose(found[way], sum(parts), atol=1e-9)
-
-
-def test_logs_without_loads_are_read(loaded, tmp_path, capsys):
-    """A log that is older than these topics holds, and the output says what it lacks."""
-    assert inspect([str(loaded), "-v"]) == 0
-    assert "it has no /loads" not in prose(capsys.readouterr().out)
-    older = tmp_path / "older.mcap"
-    older.write_bytes(written(without_topic(contents(loaded), "/loads")))
-    assert inspect([str(older), "-v"]) == 0
-    assert "it has no /loads, which logs of older versions have not" in prose(capsys.readouterr().out)
-
-
-def test_a_message_is_nearly_another():
-    """Numbers may differ by rounding; fields, lengths and more may not."""
-    one = b"\x09" + np.array([1e3]).tobytes() + b"\x11" + np.array([0.0]).tobytes()
-    assert _nearly_equal(one, one)
-    assert not _nearly_equal(one, b"\x09" + np.array([1e3 + 1e-3]).tobytes() + one[9:])
-    near = b"\x09" + np.array([1e3 + 1e-9]).tobytes() + one[9:]
-    assert _nearly_equal(one, near)
-    assert not _nearly_equal(one, b"\x19" + one[1:])
-    assert not _nearly_equal(one, one[:9])
-    assert not _nearly_equal(one, one + b"\x19")
 
 
 @pytest.fixture(scope="module")

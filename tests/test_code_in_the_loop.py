@@ -272,7 +272,7 @@ def test_a_log_proves_such_a_run(folders, tmp_path, capsys):
     assert inspect([str(log), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert "the spread that is predicted of its rounding to float" in said
-    assert "MuJoCo makes the same run again, to the last bit" in said
+    assert "come out as they were logged, to the last bit" in said
 
 
 CAMPAIGN = """vehicles = ["car.toml"]

@@ -174,19 +174,6 @@ def test_mcap_fields_beyond_fifteen(tmp_path: Path) -> None:
     assert [[getattr(row[3], signal.name) for signal in signals] for row in rows] == values.tolist()
 
 
-def test_mcap_of_several_chunks_says_when_it_ends(run: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The summary of a log has the times of its first and its last message, in however many chunks."""
-    monkeypatch.setattr("sim.recording.mcap_writer.CHUNK", 2**14)
-    write_mcap(tmp_path / "long.mcap", [run], {}, {})
-    with (tmp_path / "long.mcap").open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    found = summary.statistics
-    assert found is not None
-    assert found.chunk_count > 2
-    assert (found.message_start_time, found.message_end_time) == (0, 299_000_000)  # ns
-
-
 def test_rerun_opens_the_mcap(run: RunLog, paths: dict[str, Path], tmp_path: Path) -> None:
     """Rerun decodes the messages into fields named as the signals, with the numbers that went in."""
     converted = tmp_path / "converted.rrd"

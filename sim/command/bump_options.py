@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
-from sim.command.road_options import add_run_options, add_vehicles, driven_names
+from sim.command.road_options import add_run_options, add_vehicles
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, or a controller cannot be
@@ -40,16 +39,6 @@ def parser() -> Parser:
     )
     add_run_options(parser, 3.0)
     return parser
-
-
-def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
-    """Returns the log that these options lead to."""
-    from sim.command.road_options import ExpectedLog
-    from sim.runs.run import sample_times
-
-    names, run = driven_names(vehicle, options)
-    samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return ExpectedLog(names, samples, options.timestep, lambda road: road == requested_road(options).describe(), run)
 
 
 def requested_road(options: argparse.Namespace) -> "Bump":

@@ -2,22 +2,20 @@
 
 import argparse
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from models.common.command import Parser
 from models.common.errors import InputError
 from models.common.printed import percent, wrapped
 from models.vehicle.names import CLASSES, PLUS, ROAD_SYNTAX, named_file, split_off
-from sim.command.road_options import add_loads, add_run_options, add_vehicles, driven_names, without_loads
+from sim.command.road_options import add_loads, add_run_options, add_vehicles
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.roads.choice import RoadChoice
     from models.roads.road import Road
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import ExpectedLog
 
 NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
 
@@ -74,31 +72,6 @@ def add_road(parser: Parser, default: str) -> None:
         "its first point",
     )
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
-
-
-def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
-    """Returns the log that these options lead to. Files of roads and loads are compared by name, and not read."""
-    from models.roads.choice import choose_road, driven
-    from sim.command.road_options import ExpectedLog, same_path
-    from sim.runs.run import sample_times
-
-    text, added = split_off(road_text(options))
-    loads, file = [*added, *options.loads], named_file(text)
-
-    def is_it(road: Mapping[str, Any]) -> bool:
-        alone = without_loads(road, loads)
-        if alone is None:
-            return False
-        if file:
-            path, kind = file
-            speed = None if kind == "rig" else options.speed
-            same = all(road.get(name) == value for name, value in driven(text).items())
-            return same and same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
-        return alone == _built(vehicle, options, choose_road(text)).describe()
-
-    names, run = driven_names(vehicle, options)
-    samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return ExpectedLog(names, samples, options.timestep, is_it, run)
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":

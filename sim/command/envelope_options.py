@@ -1,18 +1,15 @@
 """Options of `sim.envelope`."""
 
-import argparse
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
-from models.common.command import Parser, one_chosen
+from models.common.command import Parser
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
-from sim.command.road_options import add_loads, without_loads
+from sim.command.road_options import add_loads
 
 if TYPE_CHECKING:
-    from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import ExpectedLog
+    pass
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
@@ -49,39 +46,6 @@ def parser() -> Parser:
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
-
-
-def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
-    """Returns the log that these options lead to: some of the cells."""
-    from models.figures.outputs import written
-    from models.roads.road import Bump
-    from sim.command.road_options import ExpectedLog
-    from sim.response.regime import END_NAMES
-    from sim.runs.run import sample_times
-    from sim.studies.validity.grid import UNITS, read_axes
-    from sim.studies.validity.report import loads_object
-
-    axes = {axis.name: axis.values for axis in read_axes(options.vary or [])}
-    allowed = {name: axes.get(name, (getattr(options, name),)) for name in UNITS}
-
-    def is_it(road: Mapping[str, Any]) -> bool:
-        alone = without_loads(road, options.loads)
-        cell = {name: road.get(name) for name in UNITS}
-        return alone == {**Bump().describe(), **cell} and all(cell[name] in allowed[name] for name in UNITS)
-
-    name = one_chosen(vehicle.controller_names, options.controller)
-    samples = len(sample_times(vehicle, options.duration, options.timestep))
-    result = {
-        "controller": name,
-        "axes": {name: list(values) for name, values in axes.items()},
-        "threshold": options.threshold,
-        **loads_object(options.loads),
-        **written({"csv": options.csv, "picture": options.picture}),
-    }
-    names = {nearest_run(name, end) for end in (-1, *range(len(END_NAMES)))}
-    return ExpectedLog(
-        [name], samples, options.timestep, is_it, lambda run, how: run in names and how == vehicle.implementation, result
-    )
 
 
 def nearest_run(controller: str, end: int) -> str:

@@ -1,16 +1,14 @@
 """Options of `sim.margins`."""
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.common.command import Parser, one_chosen
+from models.common.command import Parser
 from sim.command.road_options import add_exported
 from sim.studies.stability import TIMESTEP
 
 if TYPE_CHECKING:
-    from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import ExpectedLog
+    pass
 
 EPILOG = """
 errors [%]: every reading is off by a factor of its own, between 1 - error and
@@ -49,25 +47,6 @@ def parser() -> Parser:
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
     parser.add_printed("each loop, norms with errors, rounded numbers and each other vehicle")
     return parser
-
-
-def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
-    """Returns the log that these options lead to."""
-    from models.vehicle.limits_and_implementation import Implementation
-    from sim.command.road_options import ExpectedLog
-    from sim.runs.run import sample_times
-    from sim.studies.stability.growth_test import BUMP, EARLIER, SHORTEST
-
-    name = one_chosen(vehicle.controller_names, options.controller)
-    samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
-    return ExpectedLog(
-        [name],
-        samples,
-        options.timestep,
-        lambda road: road in (BUMP.describe(), EARLIER.describe()),
-        lambda run, how: run == late_run(name, how.delay) and how == Implementation(delay=how.delay),
-        result,
-    )
 
 
 def late_run(name: str, samples: float) -> str:

@@ -1,42 +1,15 @@
-"""Options of commands that drive over one road, and the log that options lead to."""
+"""Options of commands that drive over one road."""
 
-import argparse
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
-from models.common.command import ALL, Parser, chosen_of
-from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file, logged_variant, run_without
+from models.common.command import ALL, Parser
+from models.vehicle.names import LOAD_SYNTAX, WITHOUT
 
 if TYPE_CHECKING:
-    from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import Vehicle
-
-
-Road = Mapping[str, Any]  # as it describes itself
-
-
-@dataclass(frozen=True)
-class ExpectedLog:
-    """Log that a command line writes.
-
-    Attributes:
-        controllers: controllers of the logged runs, in order; a single one may have several runs.
-        samples: number of samples of every run, or None if the command itself determines it.
-        timestep: [s].
-        road: returns True if the described road is possible for a run.
-        run: returns True if the name and implementation are possible for a run.
-        result: parts of the result that follow from the options, by key.
-    """
-
-    controllers: Sequence[str]
-    samples: int | None
-    timestep: float
-    road: Callable[[Road], bool]
-    run: "Callable[[str, Implementation], bool]"
-    result: Mapping[str, Any] = field(default_factory=dict)
 
 
 def add_vehicles(parser: Parser) -> None:
@@ -50,24 +23,6 @@ def add_vehicles(parser: Parser) -> None:
         help="also run every controller without this part of the vehicle file, to see what it costs: noise (and quantisation), "
         "delay of the forces, limits (largest force and bump stops), lag of the actuators; may be repeated",
     )
-
-
-def driven_names(vehicle: "Vehicle", options: argparse.Namespace) -> "tuple[list[str], Callable[[str, Implementation], bool]]":
-    """Returns the controllers of a log's runs in their order, and the check of a run's name and implementation."""
-    names = chosen_of({"": vehicle.controller_names}, options.controller, partly=len(options.vehicles) > 1)[""]
-    runs = {name: vehicle.implementation for name in names}
-    every = list(names)
-    for part in options.without:
-        if (own := vehicle.without(part)) is not vehicle:
-            some = run_without(names, part)
-            every += some
-            runs |= {f"{name}{logged_variant(part)}": own.implementation for name in some}
-    return every, lambda name, how: runs.get(name) == how
-
-
-def same_path(first: str, second: str) -> bool:
-    """Returns True if two texts name one path, on whatever system they were written."""
-    return PurePosixPath(first.replace("\\", "/")) == PurePosixPath(second.replace("\\", "/"))
 
 
 USUAL = ("passive", "state", "I", "II")
@@ -134,25 +89,3 @@ def add_loads(parser: Parser, what: str) -> None:
     parser.add_argument(
         "--load", dest="loads", action="append", default=[], metavar="LOAD", help=f"{what}; several act together: {LOAD_SYNTAX}"
     )
-
-
-def without_loads(road: Mapping[str, Any], given: Sequence[str]) -> dict[str, Any] | None:
-    """Returns the road description without loads, or None if the loads differ from the requested ones.
-
-    A load's file is compared by name, and not read.
-    """
-    pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
-    if len(pushed) != len(given) or not all(_is_load(*pair) for pair in zip(pushed, given, strict=True)):
-        return None
-    return {name: value for name, value in road.items() if name != "loads"}
-
-
-def _is_load(described: str, given: str) -> bool:
-    """Returns True if a described load is the requested one."""
-    if is_load_file(given):
-        from models.roads.load_choice import named
-
-        return same_path(described.partition(";")[0], named(given))
-    from models.roads.load_choice import choose_load
-
-    return described == choose_load(given).text

@@ -1,9 +1,8 @@
 """Options of `sim.sweep`."""
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
 from models.common.command import Parser, chosen
@@ -13,7 +12,6 @@ if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.roads.sinusoids import Multisine
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
@@ -40,23 +38,6 @@ def parser() -> Parser:
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
     parser.add_printed("every signal, invariant and road of each controller, as of a single one")
     return parser
-
-
-def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
-    """Returns the log that these options lead to: worst sinusoids, whose frequencies the command finds itself."""
-    from models.roads.description import described_road
-    from models.roads.sinusoids import Multisine
-    from sim.command.road_options import ExpectedLog
-    from sim.studies.frequency.identification import ideal_measurements
-
-    def is_it(road: Mapping[str, Any]) -> bool:
-        description_read = described_road(road)
-        return isinstance(description_read, Multisine) and road == worst_road(description_read.omega[0], options).describe()
-
-    result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
-    names, ideal = requested_names(vehicle, options), ideal_measurements(vehicle).implementation
-    samples = len(worst_times(vehicle, options))
-    return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
 
 
 def requested_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:

@@ -19,7 +19,7 @@ LISTED = 16  # logs; of more only those are listed that do not prove what they c
 EPILOG = """
 exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
 
-No code from the log runs. The log does not prove who wrote it.
+It runs the logged vehicle again and compares: does the vehicle file do this, and does its certificate hold?
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap

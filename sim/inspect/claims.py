@@ -10,7 +10,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import finite
-from models.kinds.signals import is_kept
 from models.laws.combinations import PREVIEW, QUADRATIC
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.names import logged_variant
@@ -29,13 +28,12 @@ from sim.inspect.findings import (
     largest_difference,
     merge_repeats,
 )
-from sim.inspect.log import Recorded, RecordedRun, read_json
-from sim.inspect.reproduction import FEWEST, as_response, kept
-from sim.recording.run_log import CONTINUOUS, RESULTS, SAMPLED, WHOLE
-from sim.response.response import Response
+from sim.inspect.log import Log, RecordedRun, read_json
+from sim.inspect.replay import Replay, as_response, kept
+from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
+from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
-from sim.runs.prediction import Prediction
-from sim.runs.report import energy_lines, energy_object, half_step_object, run_object, verdict_lines
+from sim.runs.report import energy_lines, half_step_object, run_object, verdict_lines
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS
 from synth.analysis.record import false_claims, to_record
@@ -44,38 +42,21 @@ from synth.controller.report import failures_of_sampled_loop, false_norm, norm_i
 from synth.design.full_order.quadratic import ASSUMED
 from synth.vehicle.quadratic import h2_norm_of, preview_optimum, quadratic_optimum
 
-
-def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
-    """Returns the claimed number of samples, or `otherwise` for logs of older versions, which lack that claim."""
-    said = recorded.claim("samples") if "samples" in recorded.claims else otherwise
-    if isinstance(said, bool) or not isinstance(said, int):
-        raise InputError("its number of samples is no number")
-    return said
+REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
+OF_CERTIFICATE = ("certificate", "norm", "bound", "peak_frequency", "poles", "stable")  # claims that `check_certificate` checks
 
 
-def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Finding]:
-    """Reports missing or extra samples of a run."""
-    said, there = claimed_samples(recorded, samples), max((len(r.times) for r in recorded.responses.values()), default=0)
-    if samples < said:
-        end = f"it ends at {(samples - 1) * h:.6g} s of {(said - 1) * h:.6g} s: " if samples else ""
-        yield Finding("samples", MISSING, f"{end}{said - samples} of {said} samples are missing")
-    elif samples > said:
-        yield Finding("samples", FAILS, f"there are {samples}, and {said} were recorded")
-    if there > samples:
-        yield Finding("samples", MISSING, f"up to {there - samples} more lie behind a gap; they are not compared")
-    if samples < FEWEST:
-        yield Finding("samples", MISSING, "too few to compare anything")
+def check_certificate(vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float) -> Iterator[Finding]:
+    """Checks the certificate from the law and its proof, and the norm of the loop as implemented.
 
-
-def check_certificate(
-    vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float, current: bool
-) -> Iterator[Finding]:
-    """The certificate, from the gain and its proof; and the norm of the loop as it was implemented."""
+    Args:
+        h: timestep of the run [s].
+    """
     certificate, record = controller.certificate, recorded.claim("certificate")
     norm = norm_if_implemented(vehicle, controller, h)
     wrong = [*false_claims(record, certificate), *false_norm(record, vehicle, lambda: norm)]
     absent = [key for key in to_record(certificate) if key not in record]
-    if current and absent:
+    if absent:
         wrong.append(f"it claims no {absent[0]}, which its proof gives")
     judged = certificate.failures if controller.designed or certificate.bound is not None else ()
     wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
@@ -85,8 +66,7 @@ def check_certificate(
         if not equal(recorded.claim(key), finite(now), ROUNDING, 0.0):
             wrong.append(f"its {key} is not what was claimed")
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
-    number = isinstance(peak, (int, float)) and not isinstance(peak, bool)
-    if not (number and peak >= 0 and certificate.peaks_at(float(peak)) if there else peak is None):
+    if not (certificate.peaks_at(float(peak)) if there and peak is not None else peak is None and not there):
         wrong.append("its peak frequency is not what was claimed")
     said = _matrix(recorded.claim("poles"), (len(certificate.poles), 2))
     far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
@@ -165,129 +145,71 @@ def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
         yield Finding("goals", NOTE, f"{text}; python -m synth says, of a vehicle file")
 
 
-def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iterator[Finding]:
-    """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
-    worst, states = 0.0, kept(again.controller)
-    for topic, name, response in ((SAMPLED, "sampled", again.sampled), (CONTINUOUS, "continuous", again.continuous)):
-        far, signal = largest_difference(as_response(again.vehicle, recorded, topic, samples, again.timestep, states), response)
-        worst = max(worst, far)
-        if not far <= ROUNDING:
-            yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
-    if worst <= ROUNDING:
-        how = f"to {worst:.0e} of a peak" if worst else "to the last bit"
-        yield Finding("linear response", HOLDS, f"sampled and continuous come out as they were logged, {how}")
-
-
-def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Finding]:
-    """The verdict on the logged physics against the one that was claimed."""
-    wrong = []
-    for wheel in run.vehicle.kind.wheels:
-        for signal in (wheel.road_displacement, wheel.road_velocity):
-            far = exceeds(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
-            if not far <= ROUNDING:
-                wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
-    agreement = run.agreement
-    if recorded.claim("agrees") is not agreement.agrees:
-        wrong.append("the log says otherwise, but: " + verdict_lines(run)[-1])
-    if whole:
-        claimed = [[a, b] for a, b in agreement.lift_off]
-        if not equal(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
-            wrong.append("the tyres are off the road at other times than claimed")
-        half, said = half_step_object(run), recorded.claims.get("half_step")
-        if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
-            wrong.append("what half the step changes is not what was claimed")
-        now = {name: finite(signal.sampled) for name, signal in agreement.signals.items()}
-        others = list(different(recorded.claim("errors"), now, exact=True))
-        if others:
-            wrong.append(f"the error of {merge_repeats(others, 'errors')} is not what was claimed")
-    for text in wrong:
-        yield Finding("physics", FAILS, text)
-    if not wrong:
-        yield from (Finding("physics", HOLDS, text) for text in verdict_lines(run))
-
-
-def check_states(run: Run, anew: Response | None) -> Iterator[Finding]:
-    """Checks the states of the law in the logged physics against those that follow from its measurements.
-
-    Args:
-        run: with the physics of the log.
-        anew: the run recomputed by MuJoCo and the law, or None if it is not known.
-    """
-    states, logged = kept(run.controller), [signal.name for signal in run.physics.signals if is_kept(signal)]
-    if not states:
-        return
-    if not logged:
-        yield Finding("states", NOTE, "the log is older than the states of laws are logged")
-    elif anew is None:
-        yield Finding("states", MISSING, "they follow from the whole run")
-    else:
-        end = run.broke_off[1] if run.broke_off else math.inf
-        far, name = largest_difference(run.physics.only(logged).until(end), anew.until(end))
-        how = f"to {far:.0e} of a peak" if far else "to the last bit"
-        named = logged[0] if len(logged) == 1 else f"{logged[0]} to {logged[-1]}"
-        if far <= SAME:
-            yield Finding("states", HOLDS, f"{named} follow from what the law measures, {how}")
-        else:
-            yield Finding("states", FAILS, f"{name} does not follow from what the law measures: {far:.1e} of its peak off")
-
-
-def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool) -> Iterator[Finding]:
-    """The logged physics against MuJoCo's own, run anew, also where there is no analysis of it; and the energy that this has.
-
-    A balance rests on every position and speed of the model, and the log holds signals: so it is that of the run made anew.
-    """
+def check_responses(recorded: RecordedRun, replay: Replay) -> Iterator[Finding]:
+    """Compares the logged responses with the new ones: MuJoCo's, the sampled and the continuous one, road included."""
+    run, states = replay.run, kept(replay.run.controller)
     end = run.broke_off[1] if run.broke_off else math.inf
-    vehicle = [signal.name for signal in run.vehicle.kind.signals]
-    far, signal = largest_difference(run.physics.only(vehicle).until(end), anew.until(end))
-    if not far <= SAME:
-        yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
-        return
-    if run.energy is None or ("energy" not in recorded.claims and not current):
-        yield Finding("energy", NOTE, "MuJoCo makes the same run again; the log claims no balance")
-        return
-    wrong = list(different(recorded.claim("energy"), energy_object(run.energy), exact=current))
-    if wrong:
-        yield Finding("energy", FAILS, f"its {merge_repeats(wrong, 'numbers of the balance')} is not what was claimed")
+    new = {MUJOCO: replay.physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
+    wrong, worst = [], 0.0
+    for topic, response in new.items():
+        logged, until = as_response(run.vehicle, recorded, topic, run.prediction.timestep, states), math.inf
+        if topic == MUJOCO:
+            logged, until = logged.only([name for name in logged.names if name in response.names]), end
+        if len(logged.time) != len(response.time):
+            yield Finding("responses", MISSING, f"{topic} has {len(logged.time)} samples of {len(response.time)}")
+            return
+        far, signal = largest_difference(logged.until(until), response.until(until))
+        worst = max(worst, far)
+        if not far <= (REPLAYED if topic == MUJOCO else ROUNDING):
+            wrong.append(f"{signal} of the {topic} response is {far:.1e} of its peak off")
+    for text in wrong:
+        yield Finding("responses", FAILS, text)
     if not wrong:
-        how = f"to {far:.0e} of a peak" if far else "to the last bit"
-        (balance,) = energy_lines(run)
-        yield Finding("energy", HOLDS, f"MuJoCo makes the same run again, {how}; {balance}")
+        how = f"to {worst:.0e} of a peak" if worst else "to the last bit"
+        yield Finding("responses", HOLDS, f"MuJoCo's, sampled and continuous come out as they were logged, {how}")
 
 
-def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) -> Iterator[Finding]:
-    """The attached result of the command, where it is of the logged runs alone."""
-    try:
-        result = log.result
-    except InputError as error:
-        yield Finding("result", MISSING, str(error))
+def check_claims(recorded: RecordedRun, replay: Replay) -> Iterator[Finding]:
+    """Compares the claims of a run with those that its replay makes."""
+    run = replay.run
+    claims, _ = claims_of(run)
+    now = json.loads(json.dumps({key: value for key, value in claims.items() if key not in OF_CERTIFICATE}))
+    texts = {key for key, value in claims.items() if isinstance(value, str)}
+    logged = {
+        key: value if key in texts else read_json(value, key)
+        for key, value in recorded.claims.items()
+        if key not in OF_CERTIFICATE
+    }
+    wrong = list(different(logged, now))
+    if wrong:
+        yield Finding("claims", FAILS, f"the log says otherwise: {merge_repeats(wrong, 'claims')}")
         return
-    command, runs = log.metadata.get("command"), result.get("runs")
-    if (command in RESULTS and command not in WHOLE) or (not current and "runs" not in result):
-        yield Finding("result", NOTE, "result.json rests on more runs than the log holds; it is not computed again")
+    yield from (Finding("claims", HOLDS, text) for text in verdict_lines(run))
+    yield from (Finding("claims", HOLDS, text) for text in energy_lines(run))
+
+
+def check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
+    """Compares this run in the attached result of the command, if the result is of the logged runs alone."""
+    result, command = log.result, log.metadata.get("command", "")
+    if command not in WHOLE:
+        yield Finding("result", NOTE, "result.json needs more runs than the log has; it is not computed again")
         return
-    if not isinstance(runs, list):
-        yield Finding("result", MISSING, "the runs of result.json are no list")
-        return
-    mine = [one for one in runs if isinstance(one, dict) and logged_as(one) == recorded.name]
+    mine = [one for one in result.get("runs", []) if logged_as(one) == recorded.name]
     if len(mine) != 1:
         yield Finding("result", FAILS, "result.json does not have this run once")
         return
-    logged = {one.name for one in log.runs}
-    if any(not isinstance(one, dict) or logged_as(one) not in logged for one in runs):
-        yield Finding("result", MISSING, "result.json has runs that the log does not hold")
-        return
     now: dict[str, Any] = json.loads(json.dumps(run_object(run) | {"half_step": half_step_object(run)}))
-    now["road"], now["timestep"] = recorded.claim("road"), run.prediction.timestep
+    now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
     said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without")}
     said |= {"road": result.get("road"), "timestep": result.get("timestep")}
-    measured = "metrics" in said or (current and command == "drive")
-    if measured and result.get("definitions") == DEFINITIONS:
+    if command == "drive":
+        if result.get("definitions") != DEFINITIONS:
+            yield Finding(
+                "result", MISSING, "its metrics are of other definitions; the version that wrote the log computes them again"
+            )
+            return
         now |= json.loads(json.dumps(_metrics(run, result.get("measured_from"), result.get("measured_until"))))
-    elif measured:
-        text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
-        yield Finding("result", MISSING, text)
-        return
-    wrong = list(different(said, now, exact=current))
+    wrong = list(different(said, now))
     if wrong:
         yield Finding("result", FAILS, f"result.json says otherwise: {merge_repeats(wrong, 'numbers of the result')}")
     else:

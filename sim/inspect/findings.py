@@ -13,9 +13,7 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
-# Of a result of format 1: came when there were logs of it, and says nothing that others do not.
-SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins")
+SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins")  # older logs of this format may lack these keys
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -66,11 +64,10 @@ def equal(said: Any, now: Any, relative: float, absolute: float) -> bool:
     return said == now
 
 
-def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
+def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
     """Yields the paths at which a JSON value differs from the recomputed one.
 
     Args:
-        exact: True to require the same keys, except `SINCE`. Otherwise keys of `LATER` may be absent, and extra keys are ignored.
         path: of the value in the whole.
         absolute: tolerance of numbers, if that is more than the relative one, `SAME`.
     """
@@ -86,12 +83,12 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
         # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
         near = SAME if key == "half_step" else absolute
         if key in said:
-            yield from different(said[key], value, exact, here, near)
-        elif key not in (SINCE if exact else LATER + SINCE):
+            yield from different(said[key], value, here, near)
+        elif key not in SINCE:
             yield f"{here} is missing"
     for key in said:
-        if exact and key not in now:
-            yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
+        if key not in now:
+            yield f"{path + '.' if path else ''}{key} is unknown"
 
 
 def merge_repeats(names: Sequence[str], what: str) -> str:

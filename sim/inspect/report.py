@@ -1,15 +1,13 @@
 """Result of an inspection: in lines for the terminal, and as JSON."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from models.common.errors import InputError
 from models.common.printed import Whole, wrapped
 from sim.inspect.findings import HOLDS, NOTE, Finding
-from sim.inspect.log import Recorded, RecordedRun, read_json
-from sim.inspect.proof import IN_SHORT, UNCHECKED, Inspected, Proof
+from sim.inspect.log import Log, RecordedRun, read_json
+from sim.inspect.proof import Inspected, Proof
 from sim.runs.report import claims, controller_object, run_object, verdict
 from synth.controller.controller import Controller
 from synth.controller.report import law_lines, preview_lines
@@ -27,7 +25,7 @@ def proof_object(proof: Proof) -> dict[str, Any]:
         "command_line": log.metadata.get("command_line"),
         "vehicle": log.metadata.get("vehicle"),
         "vehicle_type": proof.vehicle.kind.name if proof.vehicle else None,
-        "timestep": proof.timestep if math.isfinite(proof.timestep) else None,
+        "timestep": log.timestep,
         "versions": _versions(log),
         "findings": [vars(finding) for finding in proof.findings],
         "runs": [_run_object(run) for run in proof.runs],
@@ -38,11 +36,11 @@ def _run_object(one: Inspected) -> dict[str, Any]:
     again = one.again
     return {
         "name": one.recorded.name,
-        "samples": one.samples,
+        "samples": max((len(response.times) for response in one.recorded.responses.values()), default=0),
         "findings": [vars(finding) for finding in one.findings],
-        "controller": controller_object(again.controller) if again else None,
+        "controller": controller_object(again.run.controller) if again else None,
         "road": _road(one.recorded),
-        "again": run_object(one.run) if one.run else None,
+        "again": run_object(again.run) if again else None,
     }
 
 
@@ -66,25 +64,24 @@ def proof_lines(proof: Proof, full: bool = True) -> list[str]:
     lines += _lines(proof.findings, full)
     brief = not full and len(proof.runs) > FEW
     for one in proof.runs:
-        if brief:
-            said = f": {_shown(verdict(one.run))}" if one.run else ""
-            lines += [*wrapped(f"run {one.recorded.name}{said}", hang=4), *_lines(one.findings, full)]
+        run = one.again.run if one.again else None
+        if brief or run is None:
+            verdict_text = f": {_shown(verdict(run))}" if run else ""
+            lines += [*wrapped(f"run {one.recorded.name}{verdict_text}", hang=4), *_lines(one.findings, full)]
             continue
-        end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
-        lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]
-        if one.again:
-            controller = one.again.controller
-            lines += wrapped(_shown(one.again.road.words), f"  {'road':10}", 12)
-            lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
-            if not full:
-                lines += wrapped(_shown(claims(controller)), f"  {'design':10}", 12)
-            if not isinstance(controller, Controller):
-                lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
-            elif controller.measured and full:
-                lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
-                lines += preview_lines(controller, f"  {'':10}")
-        if one.run and not full:
-            lines += wrapped(_shown(verdict(one.run)), f"  {'verdict':10}", 12)
+        time, controller = run.prediction.time, run.controller
+        lines += ["", f"run {one.recorded.name}: {len(time)} samples to {time[-1]:.6g} s at {log.timestep:g} s"]
+        lines += wrapped(_shown(run.road.words), f"  {'road':10}", 12)
+        lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
+        if not full:
+            lines += wrapped(_shown(claims(controller)), f"  {'design':10}", 12)
+        if not isinstance(controller, Controller):
+            lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
+        elif controller.measured and full:
+            lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
+            lines += preview_lines(controller, f"  {'':10}")
+        if not full:
+            lines += wrapped(_shown(verdict(run)), f"  {'verdict':10}", 12)
         lines += _lines(one.findings, full)
     fails = f"the log DOES NOT PROVE what it claims: {broken_text(proof)}"
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
@@ -103,8 +100,7 @@ def _lines(findings: Sequence[Finding], full: bool) -> list[str]:
     if not full:
         held = ", ".join(dict.fromkeys(one.part for one in findings if one.verdict == HOLDS))
         others = [one for one in findings if one.verdict != HOLDS]
-        others = _lines([replace(one, text=IN_SHORT) if one.text == UNCHECKED else one for one in others], full=True)
-        return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *others]
+        return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *_lines(others, full=True)]
     return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
 
 
@@ -122,7 +118,7 @@ def _road(recorded: RecordedRun) -> dict[str, Any] | None:
     return road if isinstance(road, dict) else None
 
 
-def _versions(log: Recorded) -> dict[str, str]:
+def _versions(log: Log) -> dict[str, str]:
     """Returns the versions of the packages that wrote the log."""
     try:
         versions = read_json(log.metadata.get("versions", "{}"), "versions")

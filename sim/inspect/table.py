@@ -1,4 +1,4 @@
-"""The signals of a log as one CSV table: MuJoCo's, the sampled response as it was logged, and as it is computed anew."""
+"""The signals of a log as one CSV table: MuJoCo's, the logged sampled response, and the recomputed one."""
 
 import contextlib
 from collections.abc import Iterator
@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
+from models.vehicle.vehicle import Vehicle
 from sim.inspect.proof import Inspected, Proof
-from sim.inspect.reproduction import as_response, kept
+from sim.inspect.replay import as_response, kept
 from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.response.response import Response
 from sim.runs.signal_table import run_columns, write_columns
@@ -18,22 +19,22 @@ def write_signals(path: Path, proof: Proof) -> None:
     """Writes the signals of all runs of a log, as `sim.bump --csv` does; a response that the log lacks has no columns.
 
     Raises:
-        InputError: the log has no signals of a vehicle that is known, or the file cannot be written.
+        InputError: the log has no signals of a known vehicle, or the file cannot be written.
     """
-    if proof.vehicle is None or not any(one.samples for one in proof.runs):
+    vehicle = proof.vehicle
+    columns = [] if vehicle is None else [(one, dict(_responses(proof, vehicle, one))) for one in proof.runs]
+    longest = max((len(one.time) for _, responses in columns for one in responses.values()), default=0)
+    if not longest:
         raise InputError("--csv: there are no signals in the log to write; leave it out")
-    time = np.arange(max(one.samples for one in proof.runs)) * proof.timestep
-    write_columns(
-        path, time, [column for one in proof.runs for column in run_columns(one.recorded.name, dict(_responses(proof, one)))]
-    )
+    time = np.arange(longest) * proof.log.timestep
+    write_columns(path, time, [column for one, some in columns for column in run_columns(one.recorded.name, some)])
 
 
-def _responses(proof: Proof, one: Inspected) -> Iterator[tuple[str, Response]]:
+def _responses(proof: Proof, vehicle: Vehicle, one: Inspected) -> Iterator[tuple[str, Response]]:
     """Yields the responses of a run, each with its source."""
-    assert proof.vehicle is not None, "the caller has asked"
-    states = kept(one.again.controller) if one.again else ()
+    states = kept(one.again.run.controller) if one.again else ()
     for source, name in (("mujoco", MUJOCO), ("sampled", SAMPLED)):
         with contextlib.suppress(InputError):
-            yield source, as_response(proof.vehicle, one.recorded, name, one.samples, proof.timestep, states)
+            yield source, as_response(vehicle, one.recorded, name, proof.log.timestep, states)
     if one.again:
-        yield "recomputed", one.again.sampled
+        yield "recomputed", one.again.prediction.sampled

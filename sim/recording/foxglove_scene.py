@@ -24,7 +24,6 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
-from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.common.arrays import Array
@@ -32,7 +31,6 @@ from sim.recording.run_log import RunLog
 from sim.recording.scene import BESIDE, FORCE, LIFTED, LINES, LONGEST, Scene, Shape, strut_lines, tyre_surface
 
 WORLD = "world"
-NEAR = 1e-5  # allowed difference of positions from another machine [m]
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
 GRID = 2.0**-12  # grid to which moving points are rounded [m], 0.25 mm: compressed, they take a third of the space
 
@@ -120,31 +118,6 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
             entity = _add_entity(update, time, frame(run, tyre.body), tyre.name)
             _fill(entity.triangles.add(), surfaces[int(tyre.lifted[index])], points[index])
         yield update
-
-
-def alike(kind: type, first: bytes, second: bytes) -> bool:
-    """Returns True if two messages are equal, with numbers equal within `NEAR`, or within one step of `GRID` for points on it."""
-    try:
-        one, other = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue]
-    except DecodeError:
-        return False
-    other.DiscardUnknownFields()
-    return other.SerializeToString() == second and _alike(one, other)  # no field is repeated or unknown
-
-
-def _alike(first: Any, second: Any) -> bool:
-    """Returns the same for any part of a message."""
-    if isinstance(first, float):
-        distance = abs(first - second)
-        return distance <= NEAR or (distance <= GRID and first % GRID == second % GRID == 0)
-    if isinstance(first, Message):
-        if isinstance(first, Timestamp):
-            return first == second
-        pairs = [(getattr(first, one.name), getattr(second, one.name)) for one in first.DESCRIPTOR.fields]
-        return all(_alike(a, b) for a, b in pairs)
-    if isinstance(first, (str, bytes, int)):
-        return first == second
-    return len(first) == len(second) and all(_alike(a, b) for a, b in zip(first, second, strict=True))
 
 
 def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:

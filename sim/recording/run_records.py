@@ -249,31 +249,9 @@ def _named(what: str, suffix: str, content: bytes) -> str:
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 
-def run_log(run: Run, name: RunName) -> RunLog:
-    """Returns the data of a run to be recorded, for `sim.record`.
-
-    Args:
-        run: computed by MuJoCo, not read from a log.
-        name: name of the run in the log.
-
-    Raises:
-        InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.
-
-    Example:
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> from models import Bump, read_vehicle
-        >>> from sim import record, run, run_log
-        >>> from synth import design_controllers
-        >>> vehicle = read_vehicle("quarter_car")
-        >>> [passive] = run(vehicle, design_controllers(vehicle, ["passive"]), Bump(height=0.05), duration=0.5)
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     paths = record(Path(folder), "mine", [run_log(passive, "passive")], metadata={}, attachments={})
-        ...     paths["mcap"].name, paths["rerun"].name
-        ('mine.mcap', 'mine.rrd')
-    """
+def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
+    """Returns the claims of a run, which `sim.inspect` compares, and the attachments that they name: (media type, content)."""
     vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
-    assert run.qpos is not None, "the run was computed by MuJoCo"
     files: dict[str, tuple[str, bytes]] = {}
     named: dict[str, str] = {}
     points = road.points
@@ -314,6 +292,35 @@ def run_log(run: Run, name: RunName) -> RunLog:
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
     claims |= named
+    return claims, files
+
+
+def run_log(run: Run, name: RunName) -> RunLog:
+    """Returns the data of a run to be recorded, for `sim.record`.
+
+    Args:
+        run: computed by MuJoCo, not read from a log.
+        name: of the run in the log.
+
+    Raises:
+        InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from models import Bump, read_vehicle
+        >>> from sim import record, run, run_log
+        >>> from synth import design_controllers
+        >>> vehicle = read_vehicle("quarter_car")
+        >>> [passive] = run(vehicle, design_controllers(vehicle, ["passive"]), Bump(height=0.05), duration=0.5)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     paths = record(Path(folder), "mine", [run_log(passive, "passive")], metadata={}, attachments={})
+        ...     paths["mcap"].name, paths["rerun"].name
+        ('mine.mcap', 'mine.rrd')
+    """
+    vehicle, road = run.vehicle, run.road
+    assert run.qpos is not None, "the run was computed by MuJoCo"
+    claims, files = claims_of(run)
     acting: dict[str, Response | None] = {}
     drawn: tuple[Diagram, ...] = ()
     if road.loaded:
