@@ -52,6 +52,14 @@ def test_each_way_to_fail_is_an_exception(message, error, said):
         child.ask("pass", 10.0)
 
 
+def test_a_child_that_waits_ends_as_a_script_does(tmp_path):
+    """A child that waits for messages ends with its exit functions, so that nothing that it has unpacked is left behind."""
+    child = Child(answers)
+    child.ask(f"import atexit, pathlib; atexit.register(pathlib.Path({str(tmp_path / 'ended')!r}).touch)", 10.0)
+    child.end()
+    assert (tmp_path / "ended").exists()
+
+
 SCRIPT = """
 import os, signal, sys
 from models.common.children import Child

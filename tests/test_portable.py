@@ -14,8 +14,6 @@ from tests.sources import of_one_system, sources
 # The one path of POSIX, which is only ever compared with what the user gave.
 KNOWN = {
     ("models/common/files.py", "/dev/stdout"),
-    ("sim/campaign/law_process.py", "os.killpg"),  # only where there is one
-    ("sim/campaign/law_process.py", "signal.SIGKILL"),  # there, too
 }
 
 

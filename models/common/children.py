@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import traceback
 import warnings
 import weakref
@@ -23,6 +24,7 @@ from typing import IO, Any
 
 Answers = Callable[[Iterator[Any]], Iterator[Any]]  # a generator function of a module, from messages to answers
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}  # of BLAS, whose threads only wait
+GRACE = 0.5  # s in which a child that its parent ends can finish
 
 
 class EndedError(Exception):
@@ -104,12 +106,15 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child, whatever it is doing."""
-    process.kill()
-    process.wait()
+    """Ends a child: at its next message, or after `GRACE` whatever it is doing."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()
+    try:
+        process.wait(2 * GRACE)
+    except subprocess.TimeoutExpired:  # its code does not let `_listen` run
+        process.kill()
+        process.wait()
 
 
 def serve() -> None:
@@ -129,12 +134,13 @@ def serve() -> None:
             answers.write(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
             answers.flush()
     except Exception as error:
-        answers.write(pickle.dumps(error))
-        answers.flush()
+        with suppress(OSError):  # the parent has ended
+            answers.write(pickle.dumps(error))
+            answers.flush()
 
 
 def _listen(requests: IO[bytes], messages: "queue.SimpleQueue[Any]") -> None:
-    """Reads messages. Ends the process, whatever it is doing, when the parent has ended or closed the pipe."""
+    """Reads messages. When the parent has ended or closed the pipe, ends their iterator, and after `GRACE` the process."""
     try:
         while True:
             messages.put(pickle.load(requests))
@@ -142,4 +148,6 @@ def _listen(requests: IO[bytes], messages: "queue.SimpleQueue[Any]") -> None:
         pass
     except Exception:
         traceback.print_exc()
+    messages.put(_listen)
+    time.sleep(GRACE)
     os.kill(os.getpid(), signal.SIGTERM)
