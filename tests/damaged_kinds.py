@@ -158,7 +158,7 @@ def _failures() -> Iterator[Damage]:
             f"the file raises {said}", "py", rf"the file fails \({said}.*line \d+\)", f"def fail(*some):\n    {code}\nfail()"
         )
     for what, new in {"brackets": "(" * 500, "no Python": "def"}.items():
-        yield Damage(what, "py", "is no Python", new)
+        yield Damage(what, "py", "is not Python", new)
     yield Damage("a NUL", "py", r"not a text file in UTF-8 \(a NUL character", "\x00")
     new = "from models.kinds.kind import Variation\nVariation('mass', 2, 1)"
     yield Damage("no variation", "py", r"the file fails \(mass varies by .*line \d+\)", new)

@@ -125,7 +125,7 @@ OWNERS = {
     "contourpy": {"models/figures/figure.py", "models/figures/page.py"},
     "jinja2": {"models/figures/page.py"},
     "pyopencrg": {"models/roads/opencrg.py"},
-    "cloudpickle": {"models/kinds/kind.py", "sim/campaign/law_process.py", "sim/report/worker_processes.py"},
+    "cloudpickle": {"models/kinds/kind.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
         "sim/campaign/store.py",

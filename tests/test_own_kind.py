@@ -63,7 +63,7 @@ def test_it_goes_to_other_processes(folder):
         ("import numpy as np", "import nothing_of_that_name", r"fails \(ModuleNotFoundError: .*nothing_of_that_name.*line 1\)"),
         ("import numpy as np", "raise SystemExit(3)", r"fails \(SystemExit: 3, line 1\)"),
         ("import numpy as np", "raise ValueError('two\\nlines')", r"ValueError: two lines"),
-        (BUILD, "def linear_model(p:", r"is no Python \(.*line AT\)"),
+        (BUILD, "def linear_model(p:", r"is not Python \(.*line AT\)"),
         ("KIND = VehicleKind(", "OTHER = VehicleKind(", r"it has no KIND; end it with KIND = VehicleKind"),
         ("KIND = VehicleKind(", "KIND = dict(", r"its KIND is a dict"),
         ('name="hopper"', 'name="jumper"', r"its KIND is called 'jumper'; call it 'hopper'"),

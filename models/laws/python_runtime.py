@@ -33,8 +33,6 @@ LONGEST = 10.0  # s, limit of the calls of a sample; a typical law takes microse
 SLOWEST = 100.0  # limit of all calls of a run, relative to its simulated time; `LONGEST` is added to it
 LONGEST_START = 60.0  # s, limit of executing the file: it may import large packages
 SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
-CORRECT = "; correct it"
-PLAIN = "write it as def step(sample, state), with return force, state at its end"
 
 
 class Sample:
@@ -100,15 +98,9 @@ class OwnLaw:
                 f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
             )
         self._step: Callable[..., Any] = step
-        name = f"{law.function}.vectorised"
-        vectorised, returns, self._timed = self._run(
-            name, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step), _timed(step))
-        )
-        if not returns:
-            raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
-        if vectorised is None:
-            raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or leave it out")
-        self.vectorised = vectorised
+        self._timed, name, self.vectorised = _timed(step), f"{law.function}.vectorised", getattr(step, "vectorised", False)
+        if not isinstance(self.vectorised, (bool, np.bool_)):
+            raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or omit it")
         if controller.function is not None:
             self._what = f"controller {controller.name!r}"
             self._name += "(t, y)" if self._timed else "(sample, state)"
@@ -121,20 +113,11 @@ class OwnLaw:
             InputError: the law fails, or returns something else than forces and a state.
         """
         sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
-        shape = (*y.shape[:-1], self._forces)
-        try:
-            return self._run(self._name, lambda: self._called(sample, shape))
-        except InputError as error:
-            if self._fmu:
-                at, said = f", at {time:.6g} s" if time else "", str(error).removeprefix(f"{self._what}: ")
-                raise InputError(f"{self._what}{at}: {said}") from error.__cause__
-            raise InputError(f"{str(error).removesuffix(CORRECT)} at {time:.6g} s{CORRECT}") from error.__cause__
+        return self._run(self._name, lambda: self._called(sample, (*y.shape[:-1], self._forces)), time)
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result, whose methods may be user code as well."""
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
-        if inspect.iscoroutine(given):
-            given.close()  # else Python complains that nobody has awaited it
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
         force, self._state = given
@@ -153,16 +136,17 @@ class OwnLaw:
             raise InputError("its force is not finite")
         return forces.reshape(shape)
 
-    def _run(self, name: str, code: Callable[[], Any]) -> Any:
-        """Runs code of the law's, whose failures become one line."""
+    def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:
+        """Runs code of the law's at a time [s]. Every failure becomes one line."""
         try:
             return code()
         except BaseException as error:
             if self._path is None and not isinstance(error, Exception):  # an exit, or Ctrl-C, of the caller's process
                 raise
             if self._fmu and isinstance(error, InputError):
-                raise
-            raise InputError(f"{self._what}: {name} fails ({reason(error, self._path)}){CORRECT}") from error
+                raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
+            said = f"{name} fails ({reason(error, self._path)}){'' if time is None else f' at {time:.6g} s'}"
+            raise InputError(f"{self._what}: {said}; correct it") from error
 
 
 class LawRuns:
@@ -268,7 +252,7 @@ class FileRuns:
                 said = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
             except EndedError as error:
                 said = f"ends its process ({error})"
-            self._error = InputError(f"{self._what}: {name} {said}{when}{CORRECT}")
+            self._error = InputError(f"{self._what}: {name} {said}{when}; correct it")
         raise self._error
 
 
@@ -322,17 +306,6 @@ def runs_of(controller: Programmed, forces: int) -> LawRuns | FileRuns:
 def described(controller: Programmed) -> str:
     """Returns how messages name a controller and its law."""
     return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
-
-
-def _flag(value: Any) -> bool | None:
-    """Returns a user's value as a bool, or None if it is not true or false."""
-    return bool(value) if isinstance(value, (bool, np.bool_)) else None
-
-
-def _returns(function: Any) -> bool:
-    """Returns True if a call of a user's function is complete when it returns: it is not async, and no generator."""
-    kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
-    return not any(kind(code) for code in (function, type(function).__call__) for kind in kinds)
 
 
 def _timed(function: Any) -> bool:

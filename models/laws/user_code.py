@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import CodeType
 from typing import Any
@@ -53,5 +54,7 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
 def reason(error: BaseException, path: Path | None = None) -> str:
     """Describes an error: its type, its text, and the last line of the file that ran."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    kind = "" if isinstance(error, InputError) else type(error).__name__
-    return ": ".join(text for text in (kind, one_line(str(error))) if text) + (f", line {lines[-1]}" if lines else "")
+    said = "" if isinstance(error, InputError) else type(error).__name__
+    with suppress(Exception):  # its text is user code as well
+        said = ": ".join(text for text in (said, one_line(str(error))) if text)
+    return said + (f", line {lines[-1]}" if lines else "")

@@ -213,7 +213,7 @@ def _reported(
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     own = {"own_road": road, "road_name": name, "duration": duration}
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported, **own)
-    result = report(scope, _about(vehicle.source), pool)
+    result = report(scope, _about(vehicle.source), pool.begin)
     stage("the page")
     _write(result.page, outputs)
     stage.end()

@@ -1,7 +1,7 @@
 """Contents of a report: its answer, then section by section."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -23,7 +23,6 @@ from sim.report.loads import loads_section, workshop_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import compared_on, first_screen, trust_section
-from sim.report.worker_processes import Piece, WorkerPool
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
@@ -39,6 +38,8 @@ MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "t
 EXPORTED = "exported code"
 
 
+Name = tuple[str, str]  # stage and subject
+Piece = Callable[[Scope], Any]  # a function of a module, or a `partial` of one
 MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
 
 
@@ -57,15 +58,17 @@ class Report:
     compared_on: str
 
 
-def report(scope: Scope, provenance: dict[str, str], pool: WorkerPool) -> Report:
+def report(
+    scope: Scope, provenance: dict[str, str], begin: Callable[[Scope, dict[Name, Piece]], Callable[[], dict[Name, Any]]]
+) -> Report:
     """The whole report.
 
     Args:
         provenance: where it comes from, in words.
-        pool: processes for pieces that do not depend on anything else here.
+        begin: begins independent pieces and returns what gives their results, as `WorkerPool.begin` does.
     """
     vehicle, bump, h = scope.vehicle, Bump(), scope.timestep
-    results = pool.begin(scope, pieces_of(scope))
+    results = begin(scope, pieces_of(scope))
     scope.progress(BUMP)
     time, halves = (sample_times(vehicle, scope.duration, step) for step in (h, h / 2))
     runs = run_controllers(vehicle, scope.driven, scope.road, time)
@@ -145,9 +148,9 @@ def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bo
     )
 
 
-def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
+def pieces_of(scope: Scope) -> dict[Name, Piece]:
     """Returns the independent pieces of a page, by stage and subject, the longest first."""
-    pieces: dict[tuple[str, str], Piece] = {}
+    pieces: dict[Name, Piece] = {}
     if scope.front is not None:
         from sim.report.front import front_section
 

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 from models.common.children import Child
 from models.common.threads import cores
 
-if TYPE_CHECKING:  # it imports nearly everything, and children begin to import that before this process does
+if TYPE_CHECKING:  # it imports nearly everything, which children begin to import before this process does
+    from sim.report.contents import Name, Piece
     from sim.report.scope import Scope
 
 MOST = 3  # processes: more of them would wait for the longest piece
-
-Name = tuple[str, str]
-Piece = Callable[["Scope"], Any]  # a function of a module, or a `partial` of one
 
 
 def processes(quick: bool) -> int:
@@ -43,7 +41,7 @@ class WorkerPool:
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)
 
-    def begin(self, scope: "Scope", pieces: dict[Name, Piece]) -> Callable[[], dict[Name, Any]]:
+    def begin(self, scope: "Scope", pieces: "dict[Name, Piece]") -> "Callable[[], dict[Name, Any]]":
         """Begins pieces of work, given by stage and subject. Long pieces come first, so that all processes end together.
 
         Returns:
@@ -56,18 +54,18 @@ class WorkerPool:
             written = {name: pickle.dumps((piece, silent)) for name, piece in pieces.items()}  # before `scope` caches results
             futures = {name: self._threads.submit(self._elsewhere, piece) for name, piece in written.items()}
 
-        def here(name: Name) -> Any:
+        def here(name: "Name") -> Any:
             _show(scope, name)
             return pieces[name](scope)
 
-        def elsewhere(name: Name) -> Any:
+        def elsewhere(name: "Name") -> Any:
             _show(scope, name)
             try:
                 return futures[name].result()
             except Exception:  # raised again here, where its traceback shows its cause
                 return here(name)
 
-        def results() -> dict[Name, Any]:
+        def results() -> "dict[Name, Any]":
             answers = {name: here(name) for name in reversed(pieces) if name not in futures or futures[name].cancel()}
             return answers | {name: elsewhere(name) for name in reversed(pieces) if name not in answers}
 
@@ -91,7 +89,7 @@ def _computed(pieces: Iterator[bytes]) -> Iterator[Any]:
         yield piece(scope)
 
 
-def _show(scope: "Scope", name: Name) -> None:
+def _show(scope: "Scope", name: "Name") -> None:
     """Shows which piece is computed, or waited for."""
     stage, subject = name
     scope.progress(stage)
