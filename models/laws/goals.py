@@ -190,8 +190,6 @@ PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all actuators' forces
 SMALLEST, LARGEST = 1e-9, 1e12
 HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
-MOST_MEMBERS = 50
-MOST_BOUNDS = 20
 LARGEST_TOLERANCE = 0.9  # relative: a sensor that may be off by its whole reading says nothing
 LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
 
@@ -298,8 +296,6 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
 def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
     if not isinstance(value, list) or not all(isinstance(bound, dict) for bound in value):
         raise InputError(f"{where} bounds = {quoted(value)} is no list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
-    if len(value) > MOST_BOUNDS:
-        raise InputError(f"{where} has {len(value)} bounds; give at most {MOST_BOUNDS}")
     return tuple(_bound(f"{where} bounds[{i}]", bound, outputs) for i, bound in enumerate(value))
 
 
@@ -356,8 +352,6 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
             f"{where} family = {quoted(value)} is no list of vehicles; give factors on parameters, as in "
             "family = [{}, { sprung_mass = 1.4 }]"
         )
-    if len(value) > MOST_MEMBERS:
-        raise InputError(f"{where} family has {len(value)} vehicles; give at most {MOST_MEMBERS}")
     for i, member in enumerate(value):
         for name, factor in member.items():
             if name not in parameters:

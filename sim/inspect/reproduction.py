@@ -200,11 +200,7 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
     description = run.claim("road")
     if not isinstance(description, dict):
         raise InputError("its description is none")
-    road = described_road(description, log.attachments.get(run.claims.get("road_file", "")))
-    cost = road.cost(samples)
-    if cost > 1:
-        raise InputError(f"it would take {cost:.2g} times as much as any such road needs to compute its {samples} samples")
-    return road
+    return described_road(description, log.attachments.get(run.claims.get("road_file", "")))
 
 
 def predicted_again(
