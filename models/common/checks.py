@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origi
 import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -97,6 +97,31 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
     """Raises an InputError if an array has another shape; `why` explains the expected one."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
+
+
+def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
+    """Returns a number of a range as a float.
+
+    Args:
+        what: its name, for the message.
+        value: the number.
+        smallest, largest: its range.
+        unit: its unit, for the message.
+        more: the end of the message.
+
+    Raises:
+        InputError: the value is not a number, or out of range.
+    """
+    if not is_finite(value) or not smallest <= value <= largest:
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
+    return float(value)
+
+
+def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
+    """Raises an InputError if a table, at the place `where`, has an unknown key."""
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(known)}".lstrip())
 
 
 def at_the_door(function: F) -> F:
