@@ -100,14 +100,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 
 
 def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
-    """Returns a number of a range as a float.
-
-    Args:
-        what: its name, for the message.
-        value: the number.
-        smallest, largest: its range.
-        unit: its unit, for the message.
-        more: the end of the message.
+    """Returns a number from `smallest` to `largest` as a float. `what` names it in the message, and `more` ends that.
 
     Raises:
         InputError: the value is not a number, or out of range.

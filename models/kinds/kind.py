@@ -98,12 +98,7 @@ class Parameter(Checked):
 
 def is_number(value: Any) -> bool:
     """Returns True if the value is a number that a vehicle file may hold."""
-    return is_within(value, LARGEST)
-
-
-def is_within(value: Any, most: float) -> bool:
-    """Returns True if the value is a number of at most that size."""
-    return is_finite(value) and -most <= value <= most
+    return is_finite(value) and abs(value) <= LARGEST
 
 
 HERE = Path(__file__).parent.parent  # folder of the shipped kinds
