@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import math
 import re
 
 import numpy as np
@@ -659,16 +658,6 @@ def test_roads_that_cannot_be_driven():
         ScaledRoad(road, 0.0).check(vehicle, time)
 
 
-def test_roads_that_cost_too_much():
-    """A road as long as any run needs costs less than 1, also the longest run; one that is made up to be costly more."""
-    for samples in (3, 1000, 1_000_000):
-        assert Iso8608(length=long_enough(20.0 * 1e-3 * samples)).cost(samples) < 1
-        assert sinusoid(63.6, 8.0).cost(samples) < 1
-        assert Bump().cost(samples) < 1
-    assert Iso8608(length=1e6).cost(1000) > 1
-    assert random_road(np.linspace(1.0, 2.0, 1000), 3, 9.0).cost(1_000_000) > 1
-
-
 @pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
 def test_description_is_enough(road):
     """A road comes back from its description as JSON holds it, to the last bit; a profile needs its points as CSV besides."""
@@ -687,14 +676,14 @@ def test_description_is_enough(road):
     [
         ({}, "unknown type"),
         ({"type": ["bump"]}, "unknown type"),
-        ({"type": "bump", "height": "a"}, "its height is no finite number"),
-        ({"type": "bump", "height": math.nan, "length": 1.0, "speed": 1.0}, "its height is no finite number"),
-        ({**Bump().describe(), "track": "../x"}, "track is not one of both, left, right"),
+        ({"type": "bump", "height": "a"}, "its height = 'a' is not allowed; give a number"),
+        ({"type": "bump"}, "its height = None is not allowed; give a number"),
+        ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
         ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
         ({**Bump().describe(), "speed": 1e9}, "speed = 1e\\+09 is not allowed"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
         ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
-        ({**sinusoid(1.0, 1.0).describe(), "omega": []}, "omega are missing"),
+        ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list, each item a number"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "not equally many"),
         ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
     ],

@@ -1,24 +1,23 @@
-"""Checks of values by their annotations: a value that does not fit is an `InputError` that names it.
+"""Checks of values by their annotations: a value that does not fit raises an `InputError` with the name of the argument.
 
 `models.common.lazy` wraps every public function in `at_the_door`; calls within the packages are not checked. Dataclasses are
-`Checked`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: type checkers alone resolve it.
+`Checked`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: only type checkers resolve it.
 """
 
-import collections.abc
 import inspect
 import math
 import numbers
-import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache, wraps
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Protocol, TypeVar, Union, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -28,8 +27,8 @@ class Must:
     """Further condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: the allowed values; after a comma, what is added to the words of the annotated type.
-        holds: True for an allowed value, which has the annotated type.
+        words: the allowed values. Words that begin with a comma follow those of the annotated type.
+        holds: returns True for an allowed value, which has the annotated type.
     """
 
     words: str
@@ -39,8 +38,6 @@ class Must:
         return repr(self.words.removeprefix(", "))
 
 
-LONGEST_NAME = 60  # characters
-
 AT_LEAST_ONE = Must(", at least one", lambda value: len(value) > 0)
 Positive = Annotated[float, Must("a number above 0", lambda value: 0 < value < math.inf)]
 NotNegative = Annotated[float, Must("a number from 0 upwards", lambda value: 0 <= value < math.inf)]
@@ -48,82 +45,95 @@ Bound = Annotated[float, Must("a number above 0, or infinity", lambda value: val
 Index = Annotated[int, Must("a whole number from 0 upwards", lambda value: value >= 0)]
 Vector = Annotated[Array, Must("a list of finite numbers", lambda value: value.ndim == 1 and bool(np.isfinite(value).all()))]
 Matrix = Annotated[Array, Must("a matrix of finite numbers", lambda value: value.ndim == 2 and bool(np.isfinite(value).all()))]
-Name = Annotated[
-    str,
-    Must(
-        f"letters, digits and '_', at most {LONGEST_NAME}, no digit first",
-        lambda value: value.isidentifier() and len(value) <= LONGEST_NAME,
-    ),
-]
-
-
-class _UnfitError(Exception):
-    """A value that does not fit.
-
-    Attributes:
-        place: where it is within the value asked about, as in "[0]".
-        value: the value.
-        words: the allowed values.
-    """
-
-    def __init__(self, value: Any, words: str, place: str = "") -> None:
-        super().__init__(words)
-        self.place, self.value, self.words = place, value, words
-
-
-@dataclass(frozen=True)
-class _Check:
-    """Check of an annotation.
-
-    Attributes:
-        words: the allowed values.
-        read: returns the value, a list as the annotated array or tuple; raises `_UnfitError`.
-    """
-
-    words: str
-    read: Callable[[Any], Any]
+Name = Annotated[str, Must("letters, digits and '_', no digit first", str.isidentifier)]
+WORDS: Mapping[Any, str] = {
+    Any: "anything",
+    Array: "an array of numbers",
+    Callable: "a function",
+    NoneType: "None",
+    Path: "a path",
+    bool: "True or False",
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+}
 
 
 def check(name: str, value: Any, annotation: Any) -> Any:
-    """Returns a value that fits its annotation, a list as the annotated array or tuple.
+    """Returns a value that fits its annotation. A list becomes the annotated array or tuple.
 
     Raises:
-        InputError: it does not fit; the message has the name.
+        InputError: the value does not fit.
     """
     check_unmasked(name, value)
     try:
-        return _check(annotation).read(value)
+        return _fit("", value, annotation)
     except _UnfitError as error:
-        raise InputError(f"{name}{error.place} = {quoted(error.value)} is not allowed; give {error.words}") from None
+        place, part, allowed = error.args
+        raise InputError(f"{name}{place} = {quoted(part)} is not allowed; give {_words(allowed)}") from None
 
 
-def plain(value: Any) -> Any:
-    """Returns NumPy's scalar, or its array of no dimension, as a number of Python; any other value unchanged."""
-    scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
-    return value.item() if scalar and not is_masked(value) else value
+def check_fields(value: Any) -> None:
+    """Checks the fields of a dataclass, for `__post_init__`. Lists become the annotated arrays and tuples.
+
+    Raises:
+        InputError: a field does not fit its annotation.
+    """
+    for field in fields(value):
+        given = getattr(value, field.name)
+        fitting = check(field.name, given, field.type)
+        if fitting is not given:
+            object.__setattr__(value, field.name, fitting)
+
+
+class Checked:
+    """Base of dataclasses whose fields fit their annotations; see `check_fields`."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array has another shape; `why` says what sets it."""
+    """Raises an InputError if an array has another shape; `why` explains the expected one."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
-def check_fields(value: Any) -> None:
-    """Checks the fields of a dataclass, for `__post_init__`; lists become the annotated arrays and tuples.
+def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
+    """Returns a number from `smallest` to `largest` as a float. `what` names it in the message, and `more` ends that.
 
     Raises:
-        InputError: a field does not fit its annotation; the message has its name.
+        InputError: the value is not a number, or out of range.
     """
-    for name, annotation in _annotated(type(value)):
-        given = getattr(value, name)
-        fitting = check(name, given, annotation)
-        if fitting is not given:
-            object.__setattr__(value, name, fitting)
+    if not is_finite(value) or not smallest <= value <= largest:
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
+    return float(value)
+
+
+def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
+    """Raises an InputError if a table, at the place `where`, has an unknown key."""
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(known)}".lstrip())
+
+
+def at_the_door(function: F) -> F:
+    """Returns a function that checks its arguments by their annotations before it is called."""
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def checked(*arguments: Any, **named: Any) -> Any:
+        bound = signature.bind(*arguments, **named)
+        for name, value in bound.arguments.items():
+            if name not in ("self", "cls"):
+                bound.arguments[name] = check(name, value, signature.parameters[name].annotation)
+        return function(*bound.args, **bound.kwargs)
+
+    return checked  # pyright: ignore[reportReturnType]
 
 
 class ReadOnly(dict[str, Any]):
-    """A dict that refuses changes, where a changed entry would pass unchecked."""
+    """Dictionary that refuses changes, because a changed entry would not be checked."""
 
     def _refused(self, *arguments: Any, **named: Any) -> NoReturn:
         raise InputError(
@@ -137,153 +147,8 @@ class ReadOnly(dict[str, Any]):
         return ReadOnly, (dict(self),)
 
 
-class Checked:
-    """Base of dataclasses whose fields fit their annotations; see `check_fields`."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-@cache
-def _annotated(of: type) -> tuple[tuple[str, Any], ...]:
-    return tuple((field.name, field.type) for field in fields(of) if _check(field.type) is not ANYTHING)
-
-
-def at_the_door(function: F) -> F:
-    """Returns a function that checks its arguments by their annotations before it is called."""
-    signature = inspect.signature(function)
-    annotations = {name: parameter.annotation for name, parameter in signature.parameters.items() if name not in ("self", "cls")}
-
-    @wraps(function)
-    def checked(*arguments: Any, **named: Any) -> Any:
-        bound = signature.bind(*arguments, **named)
-        for name, value in bound.arguments.items():
-            bound.arguments[name] = check(name, value, annotations.get(name, Any))
-        return function(*bound.args, **bound.kwargs)
-
-    return checked  # pyright: ignore[reportReturnType]
-
-
-ANYTHING = _Check("anything", lambda value: value)
-
-
-@cache
-def _check(annotation: Any) -> _Check:
-    """Returns the check of an annotation; `ANYTHING` for one that is unknown."""
-    origin, inner = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _further(_check(inner[0]), *inner[1:])
-    if origin in (Union, types.UnionType):
-        return _either([_check(one) for one in inner])
-    if origin is tuple:
-        return _each(_check(inner[0])) if inner[1:] == (...,) else _row([_check(one) for one in inner])
-    if isinstance(origin, type) and issubclass(origin, collections.abc.Mapping):
-        return _mapping(*(_check(one) for one in inner))
-    if origin is collections.abc.Callable or annotation is Callable:
-        return _simple("a function", callable)
-    if isinstance(origin, type) and issubclass(origin, Iterable):
-        return _each(_check(inner[0]))
-    if annotation in _PLAIN:
-        return _PLAIN[annotation]
-    if isinstance(annotation, type) and annotation is not object:
-        article = "an" if annotation.__name__[0] in "AEIOU" else "a"
-        # A type that is not public has a class attribute `given_as`, which says in words where its values come from.
-        words = vars(annotation).get("given_as", f"{article} {annotation.__name__}")
-        return _simple(words, lambda value: isinstance(value, annotation))
-    return ANYTHING
-
-
-def _simple(words: str, fits: Callable[[Any], bool]) -> _Check:
-    def read(value: Any) -> Any:
-        value = plain(value)
-        if not fits(value):
-            raise _UnfitError(value, words)
-        return value
-
-    return _Check(words, read)
-
-
-def _further(base: _Check, must: Any) -> _Check:
-    if not isinstance(must, Must):
-        return base
-    words = base.words + must.words if must.words.startswith(",") else must.words
-
-    def read(value: Any) -> Any:
-        try:
-            fitting = base.read(value)
-        except _UnfitError as error:
-            raise error if error.place else _UnfitError(value, words) from error
-        if not must.holds(fitting):
-            raise _UnfitError(value, words)
-        return fitting
-
-    return _Check(words, read)
-
-
-def _either(checks: list[_Check]) -> _Check:
-    if any(one is ANYTHING for one in checks):
-        return ANYTHING
-    words = " or ".join(one.words for one in checks)
-
-    def read(value: Any) -> Any:
-        errors = []
-        for one in checks:
-            try:
-                return one.read(value)
-            except _UnfitError as error:
-                errors.append(error)
-        raise next((error for error in errors if error.place), _UnfitError(value, words))
-
-    return _Check(words, read)
-
-
-def _each(item: _Check) -> _Check:
-    words = f"a list, each item {item.words}"
-
-    def read(value: Any) -> Any:
-        if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
-            raise _UnfitError(value, words)
-        items = tuple(_at(f"[{i}]", item, one) for i, one in enumerate(value))
-        same = isinstance(value, tuple) and all(one is old for one, old in zip(items, value, strict=True))
-        return value if same else items
-
-    return _Check(words, read)
-
-
-def _row(checks: list[_Check]) -> _Check:
-    words = f"{len(checks)} values: {', '.join(one.words for one in checks)}"
-
-    def read(value: Any) -> Any:
-        if not isinstance(value, tuple | list) or len(value) != len(checks):
-            raise _UnfitError(value, words)
-        return tuple(_at(f"[{i}]", one, part) for i, (one, part) in enumerate(zip(checks, value, strict=True)))
-
-    return _Check(words, read)
-
-
-def _mapping(keys: _Check, values: _Check) -> _Check:
-    words = f"a mapping from {keys.words} to {values.words}"
-
-    def read(value: Any) -> Any:
-        if not isinstance(value, Mapping):
-            raise _UnfitError(value, words)
-        for key, one in value.items():
-            _at("", keys, key)
-            _at(f"[{quoted(key)}]", values, one)
-        return value
-
-    return _Check(words, read)
-
-
-def _at(place: str, item: _Check, value: Any) -> Any:
-    try:
-        return item.read(value)
-    except _UnfitError as error:
-        raise _UnfitError(error.value, error.words, place + error.place) from error
-
-
 def is_finite(value: Any) -> bool:
-    """Returns True for a real and finite number, of numpy or not."""
+    """Returns True for a real and finite number, of NumPy or not."""
     value = plain(value)
     try:
         return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
@@ -291,39 +156,82 @@ def is_finite(value: Any) -> bool:
         return False
 
 
-def _number(value: Any) -> Any:
-    value = plain(value)
-    if not (is_finite(value) or (isinstance(value, float) and math.isinf(value))):
-        raise _UnfitError(value, "a number")
+def plain(value: Any) -> Any:
+    """Returns a NumPy scalar, or an array of no dimension, as a Python number; any other value unchanged."""
+    scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
+    return value.item() if scalar and not is_masked(value) else value
+
+
+class _UnfitError(Exception):
+    """Raised with the place of a part within a value, as in "[0]", the part, and the annotation that it does not fit."""
+
+
+def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
+    """Returns a value that fits an annotation; `allowed` is the whole annotation if this is only a part of it."""
+    given, allowed = value, annotation if allowed is None else allowed
+    outer, inner, fits = get_origin(annotation) or annotation, get_args(annotation), True
+    if outer is Annotated:
+        value = _fit(place, value, inner[0], allowed)
+        fits = inner[1].holds(value)
+    elif outer in (Union, UnionType):
+        errors = []
+        for one in inner:
+            try:
+                return _fit(place, value, one, allowed)
+            except _UnfitError as error:
+                errors.append(error)
+        raise next((error for error in errors if error.args[0] != place), errors[0])
+    elif not isinstance(outer, type) or outer is Any:
+        return value
+    elif inner and issubclass(outer, Mapping):
+        fits = isinstance(value, Mapping)
+        for key, one in value.items() if fits else ():
+            _fit(place, key, inner[0])
+            _fit(f"{place}[{quoted(key)}]", one, inner[1])
+    elif inner and issubclass(outer, Iterable):
+        value = plain(value)
+        if fits := isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
+            items = tuple(value)
+            each = inner if outer is tuple and inner[-1] is not ... else inner[:1] * len(items)
+            if fits := len(each) == len(items):
+                value = tuple(_fit(f"{place}[{i}]", item, each[i]) for i, item in enumerate(items))
+    else:
+        value, fits = _simple(value, outer)
+    if not fits:
+        raise _UnfitError(place, given, allowed)
     return value
 
 
-def _array(value: Any) -> Array:
-    """Returns an array of numbers, entries that are not finite included."""
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise _UnfitError(value, "an array of numbers") from error
-    if array.dtype.kind not in "biufc" or not array.ndim:
-        raise _UnfitError(value, "an array of numbers")
-    return array
+def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
+    """Returns a value, as an array or a path if that is wanted, and True if it is of the wanted type."""
+    if wanted is Array:
+        try:
+            array = np.asarray(value)
+        except (TypeError, ValueError):
+            return value, False
+        return array, array.dtype.kind in "biufc" and array.ndim > 0
+    value = plain(value)
+    if wanted is float:
+        return value, is_finite(value) or (isinstance(value, float) and math.isinf(value))
+    if wanted is int:
+        return value, isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    value = Path(value) if wanted is Path and isinstance(value, str) else value
+    return value, isinstance(value, wanted)
 
 
-def _path(value: Any) -> Path:
-    if not isinstance(value, str | Path):
-        raise _UnfitError(value, "a path")
-    return Path(value)
-
-
-_PLAIN: Mapping[Any, _Check] = {
-    float: _Check("a number", _number),
-    int: _simple("a whole number", lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool)),
-    bool: _simple("True or False", lambda value: isinstance(value, bool | np.bool_)),
-    str: _simple("a text", lambda value: isinstance(value, str)),
-    types.NoneType: _simple("None", lambda value: value is None),
-    None: _simple("None", lambda value: value is None),
-    Path: _Check("a path", _path),
-    Array: _Check("an array of numbers", _array),
-    Any: ANYTHING,
-    Protocol: ANYTHING,
-}
+def _words(annotation: Any) -> str:
+    """Returns the values that an annotation allows, in words."""
+    outer, inner = get_origin(annotation) or annotation, get_args(annotation)
+    if outer is Annotated:
+        return (_words(inner[0]) if inner[1].words.startswith(",") else "") + inner[1].words
+    if outer in (Union, UnionType):
+        return " or ".join(map(_words, inner))
+    if outer in WORDS or not isinstance(outer, type):
+        return WORDS.get(outer, "anything")
+    if inner and issubclass(outer, Mapping):
+        return f"a mapping from {_words(inner[0])} to {_words(inner[1])}"
+    if inner:
+        fixed = outer is tuple and inner[-1] is not ...
+        return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else f"a list, each item {_words(inner[0])}"
+    # A type that is not public has a class attribute `given_as`, which describes where its values come from.
+    return vars(outer).get("given_as", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")

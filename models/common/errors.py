@@ -1,17 +1,13 @@
 """The error for wrong input: every command turns it into one line and exit code 2."""
 
 import difflib
-import re
 import reprlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 TRACEBACK = "--traceback"  # option of every command
 LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
-LONGEST_WORD = 160  # characters without a space, or between quotes, as of a path
 LONGEST_VALUE = 60  # characters of a value
-QUOTED = re.compile(rf"""(?<![^\s=(\[{{,:])(["'])(?:(?!\1).){{{LONGEST_WORD - 1},}}\1(?![^\s,;:)\]}}.])""")
-WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 _shortly = reprlib.Repr()
 _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, LONGEST_VALUE, LONGEST_VALUE, LONGEST_VALUE
@@ -25,12 +21,9 @@ class InputError(ValueError):
 
 
 def one_line(message: str) -> str:
-    """Returns a message as one printable line. Long quotations, and a long line, are cut in the middle."""
+    """Returns a message as one printable line. A long one is cut in the middle, between the mistake and the advice."""
     line = " ".join(part.strip() for part in message.splitlines())
-    line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
-    for pattern in (QUOTED, WORD):
-        line = pattern.sub(lambda match: middle_cut(match[0], LONGEST_WORD), line)
-    return middle_cut(line, LONGEST)  # keeps what was found, at the beginning, and what to do, at the end
+    return middle_cut("".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line), LONGEST)
 
 
 def quoted(value: Any) -> str:

@@ -7,10 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
-import numpy as np
-
-from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, plain
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
+from models.common.errors import InputError, listing
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
@@ -95,23 +93,12 @@ class Parameter(Checked):
             InputError: not a number of the allowed range.
         """
         smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
-        allowed = number_range(smallest, self.largest, self.unit)
-        value = plain(value)
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-            raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
-        if not smallest <= value <= self.largest:  # NaN is in no range
-            raise InputError(f"{self.name} = {quoted(value)} is not allowed; give {allowed}")
-        return float(value)
+        return number_within(self.name, value, smallest, self.largest, self.unit)
 
 
 def is_number(value: Any) -> bool:
     """Returns True if the value is a number that a vehicle file may hold."""
-    return is_within(value, LARGEST)
-
-
-def is_within(value: Any, most: float) -> bool:
-    """Returns True if the value is a number of at most that size."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -most <= value <= most  # NaN is not
+    return is_finite(value) and abs(value) <= LARGEST
 
 
 HERE = Path(__file__).parent.parent  # folder of the shipped kinds

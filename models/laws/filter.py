@@ -25,6 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.checks import is_finite
 from models.common.errors import InputError, listing, quoted
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
@@ -192,8 +193,7 @@ def _known() -> str:
 def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
     """Returns the coefficients without leading zeros."""
     for one in given:
-        number = isinstance(one, (int, float)) and not isinstance(one, bool)
-        if not number or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
+        if not is_finite(one) or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
             raise InputError(
                 f"{what} has the coefficient {quoted(one)}; give 0 or numbers from {SMALLEST:g} to {LARGEST:g} in size"
             )

@@ -10,9 +10,10 @@ structure = "corner"
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import check_keys, is_finite, number_within
+from models.common.errors import InputError, listing, quoted
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
@@ -190,8 +191,6 @@ PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all actuators' forces
 SMALLEST, LARGEST = 1e-9, 1e12
 HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
-MOST_MEMBERS = 50
-MOST_BOUNDS = 20
 LARGEST_TOLERANCE = 0.9  # relative: a sensor that may be off by its whole reading says nothing
 LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
 
@@ -204,34 +203,29 @@ BOUND_KINDS = {  # further keys of a bound, and an example
 }
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-class Kind(Protocol):
-    """Part of a `VehicleKind` that goals need."""
-
-    @property
-    def parameters(self) -> Sequence[_Named]:
-        """Its parameters."""
-        ...
-
-    @property
-    def corners(self) -> Mapping[str, str]:
-        """Suffix of the names at a force's suspension, by force; empty for a single suspension."""
-        ...
-
-
-def read_goals(where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: Kind) -> Goals:
+def read_goals(
+    where: str,
+    entry: Mapping[str, Any],
+    measured: Sequence[str],
+    outputs: Collection[str],
+    corners: Mapping[str, str],
+    parameters: Collection[str] = (),
+) -> Goals:
     """Reads the goals of a section that has some.
+
+    Args:
+        where: the section, for messages.
+        entry: its entries.
+        measured: names of the measured signals.
+        outputs: names of all signals.
+        corners: suffix of the names at a force's suspension, by force; empty for a single suspension.
+        parameters: names of the parameters that a family can vary.
 
     Raises:
         InputError: a key or a number that is not allowed.
     """
-    corners = kind.corners
     minimise, over = _minimise(where, entry.get("minimise", {}), outputs)
-    family = _family(where, entry.get("family"), [parameter.name for parameter in kind.parameters])
+    family = _family(where, entry.get("family"), parameters)
     if over == REGRET and not family:
         raise InputError(
             f'{where} minimise has over = "regret", which is of a family; give family = [{{ ... }}, ...], or leave it out'
@@ -251,7 +245,7 @@ def _minimise(where: str, value: Any, outputs: Collection[str]) -> tuple[NormOf,
         raise InputError(
             f"{where} minimise = {quoted(value)} is no table; give one, as in minimise = {{ band = [4.0, 8.0] }}, Hz"
         )
-    _known(f"{where} minimise", value, ("signals", "band", "over"))
+    check_keys(f"{where} minimise", value, ("signals", "band", "over"))
     over = value.get("over", WORST)
     if over not in (WORST, REGRET):
         raise InputError(
@@ -274,7 +268,7 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         for name, weight in signals.items():
             if name not in outputs:
                 raise InputError(f"{where} unknown signal {quoted(name)}; this vehicle has {listing(outputs)}")
-            _number(f"{where} the weight of {name}", weight, SMALLEST, LARGEST)
+            number_within(f"{where} the weight of {name}", weight, SMALLEST, LARGEST)
         weights = {name: float(weight) for name, weight in signals.items()}
     elif signals != PERFORMANCE:
         weights = {}
@@ -285,7 +279,7 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         )
     if band is None:
         return NormOf(weights)
-    fits = isinstance(band, list) and len(band) == 2 and all(_is_number(end, True) for end in band)
+    fits = isinstance(band, list) and len(band) == 2 and all(is_finite(end) for end in band)
     if not fits or not 0 <= band[0] < band[1] <= HIGHEST:
         raise InputError(
             f"{where} band = {quoted(band)} is not allowed; give two frequencies [Hz], from and to, of at most {HIGHEST:g}, as "
@@ -298,8 +292,6 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
 def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
     if not isinstance(value, list) or not all(isinstance(bound, dict) for bound in value):
         raise InputError(f"{where} bounds = {quoted(value)} is no list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
-    if len(value) > MOST_BOUNDS:
-        raise InputError(f"{where} has {len(value)} bounds; give at most {MOST_BOUNDS}")
     return tuple(_bound(f"{where} bounds[{i}]", bound, outputs) for i, bound in enumerate(value))
 
 
@@ -310,24 +302,24 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
             f"{where} = {quoted(dict(value))} is no bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
         )
     kind = kinds[0]
-    _known(where, value, (kind, *BOUND_KINDS[kind][0]))
+    check_keys(where, value, (kind, *BOUND_KINDS[kind][0]))
     if kind == "norm":
-        return NormBound(_norm(where, value, outputs), _number(f"{where} norm", value["norm"], SMALLEST, LARGEST))
+        return NormBound(_norm(where, value, outputs), number_within(f"{where} norm", value["norm"], SMALLEST, LARGEST))
     if kind == "decay":
-        return DecayBound(_number(f"{where} decay", value["decay"], SMALLEST, LARGEST, "rad/s"))
+        return DecayBound(number_within(f"{where} decay", value["decay"], SMALLEST, LARGEST, "rad/s"))
     if kind == "gain":
-        return GainBound(_number(f"{where} gain", value["gain"], SMALLEST, LARGEST))
+        return GainBound(number_within(f"{where} gain", value["gain"], SMALLEST, LARGEST))
     signal, road = value[kind], value.get("road", "bump")
     if signal not in outputs:
         raise InputError(f"{where} unknown signal {quoted(signal)}; this vehicle has {listing(outputs)}")
     if "at_most" not in value:
         raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} that is allowed, in its SI unit")
-    at_most = _number(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
+    at_most = number_within(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
     if kind == "energy_peak":
-        return EnergyBound(signal, _number(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
+        return EnergyBound(signal, number_within(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
     if not isinstance(road, str):
         raise InputError(f'{where} road = {quoted(road)} is no road; give its name, as in road = "bump:height=0.08"')
-    speed = _number(f"{where} speed", value["speed"], 0.1, 200.0, "m/s") if "speed" in value else None
+    speed = number_within(f"{where} speed", value["speed"], 0.1, 200.0, "m/s") if "speed" in value else None
     return PeakBound(signal, road, speed, at_most)
 
 
@@ -342,7 +334,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
         if name not in allowed:
             raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
         more = ", relative: 0.1 is 10 %, or a table, { weight = ... }, for one that grows with frequency"
-        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
+        number_within(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
     if FORCE in value and any(force in value for force in forces if force not in measured):
         raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
     return {name: float(share) for name, share in value.items()}
@@ -356,13 +348,11 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
             f"{where} family = {quoted(value)} is no list of vehicles; give factors on parameters, as in "
             "family = [{}, { sprung_mass = 1.4 }]"
         )
-    if len(value) > MOST_MEMBERS:
-        raise InputError(f"{where} family has {len(value)} vehicles; give at most {MOST_MEMBERS}")
     for i, member in enumerate(value):
         for name, factor in member.items():
             if name not in parameters:
                 raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; this vehicle has {listing(parameters)}")
-            _number(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
+            number_within(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
     return tuple({name: float(factor) for name, factor in member.items()} for member in value)
 
 
@@ -403,20 +393,3 @@ def read_structure(
     if not any(any(row) for row in value):
         raise InputError(f"{where} structure leaves no entry of the gain; give a 1 where a signal may act on a force")
     return tuple(tuple(bool(entry) for entry in row) for row in value)
-
-
-def _known(where: str, value: Mapping[str, Any], keys: Sequence[str]) -> None:
-    for key in value:
-        if key not in keys:
-            raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(keys)}")
-
-
-def _number(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
-    if not _is_number(value) or not smallest <= value <= largest:
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
-    return float(value)
-
-
-def _is_number(value: Any, infinite: bool = False) -> bool:
-    real = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return real and not math.isnan(value) and (infinite or math.isfinite(value))

@@ -9,7 +9,6 @@ A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. Its integr
 no minus: a positive force lifts the body, so that negative gains on an extension work against it and positive ones with it.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import check_keys, is_finite, number_within
+from models.common.errors import InputError, quoted
 from models.laws.combinations import PI, PID, is_order
 from models.laws.goals import CORNER, read_structure
 from models.laws.linear import LARGEST, MATRICES, LinearLaw
@@ -107,7 +107,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
         raise InputError(f"{where} pid with {beside[0]}: a controller has one law; leave one of them out")
     rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
-    _known(where, table, (*GAINS, FILTER))
+    check_keys(f"{where} pid", table, (*GAINS, FILTER))
     m = len(corners)
     kp, ki, kd = (_gains(f"{where} pid.{name}", table.get(name, 0.0), m) for name in GAINS)
     if np.any(kd) and FILTER not in table:
@@ -117,7 +117,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
         )
     if FILTER in table and not np.any(kd):
         raise InputError(f"{where} pid has a filter, which is of the derivative alone, and no kd; give kd, or leave filter out")
-    filter = _time(f"{where} pid.filter", table[FILTER]) if FILTER in table else 1.0
+    filter = number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s") if FILTER in table else 1.0
     law = side_by_side(pid_filter(PID, filter), m)
     K = _block(kp, ki, kd)
     C, D = K @ law.C, K @ law.D
@@ -192,7 +192,7 @@ def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
             f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; leave structure out for a law of given '
             "numbers, or give pid its filter alone"
         )
-    _known(where, table, (FILTER,))
+    check_keys(f"{where} pid", table, (FILTER,))
     if kind == PI:
         if table:
             raise InputError(f'{where} structure = "{PI}" has no derivative, and pid gives its filter; leave pid out')
@@ -202,28 +202,12 @@ def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
             f'{where} structure = "{PID}" needs the time constant of the derivative\'s low-pass; give it in seconds, as in '
             "pid = { filter = 0.01 }"
         )
-    return _time(f"{where} pid.filter", table[FILTER])
-
-
-def _known(where: str, table: Mapping[str, Any], keys: Sequence[str]) -> None:
-    for key in table:
-        if key not in keys:
-            raise InputError(f"{where} pid has an unknown key {quoted(key)}; known: {listing(keys)}")
+    return number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s")
 
 
 def _gains(what: str, value: Any, m: int) -> Array:
     """Returns a gain for each force: one number for all, or a list."""
     several = value if isinstance(value, list) else [value] * m
-    if len(several) != m or not all(_is_number(one) and abs(one) <= LARGEST for one in several):
+    if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
         raise InputError(f"{what} = {quoted(value)} is not allowed; give a number, or a list of {m}, one a force")
     return np.array(several, dtype=float)
-
-
-def _time(what: str, value: Any) -> float:
-    if not _is_number(value) or not SHORTEST <= value <= LONGEST:
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(SHORTEST, LONGEST, 's')}")
-    return float(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

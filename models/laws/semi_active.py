@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import number_within
+from models.common.errors import InputError, listing, quoted
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -307,8 +308,4 @@ def read_semi_active(
 
 def _number(where: str, key: str, value: Any) -> float:
     smallest, largest = (0.0, 1.0) if key == "mix" else (SMALLEST, LARGEST) if key == "crossover" else (0.0, LARGEST)
-    real = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not real or not smallest <= value <= largest:
-        allowed = number_range(smallest, largest, UNITS.get(key, "N s/m"))
-        raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give {allowed}")
-    return float(value)
+    return number_within(f"{where} {key}", value, smallest, largest, UNITS.get(key, "N s/m"))

@@ -42,7 +42,6 @@ MOST_SEED = 2**63 - 1
 IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
 LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6), "factor": (-1e9, 1e9)}  # SI
 BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
-USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # no run without repetition of the road needs more
 FEW = 10  # times; more, if evenly spaced, are faster by transform
 FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
 MOST_KEPT = 200_000  # times whose sum is cached, 1.6 MB
@@ -177,10 +176,6 @@ class Iso8608(Road):
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width)
-
-    def cost(self, samples: int) -> float:
-        """Returns the number of lines, which are kept in memory, over the largest that a run needs."""
-        return len(self.n) / (USUAL_LINES + LINES_PER_SAMPLE * samples)
 
     @cached_property
     def _left(self) -> Array:

@@ -94,10 +94,6 @@ class RoadWithLoads(DerivedRoad):
         """Returns road and loads multiplied by a factor."""
         return RoadWithLoads(self.road.scaled(factor), tuple(load.scaled(factor) for load in self.on_body))
 
-    def cost(self, samples: int) -> float:
-        """Returns the cost of the road."""
-        return self.road.cost(samples)
-
     def check(self, vehicle: Vehicle, time: Array) -> None:
         """Checks that the vehicle can be driven over the road, and that its body has the loads' motions.
 

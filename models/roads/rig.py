@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 STROKE = 2.0  # m from its first height; no post moves further
-MOST_POSTS = 1000
 SHORT = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
 SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive files call corners
 
@@ -179,10 +178,10 @@ def check_posts(posts: Sequence[str]) -> None:
     """Checks that every post has a name of its own.
 
     Raises:
-        InputError: two posts are the same wheel's, one has no name, or there are far too many.
+        InputError: two posts are the same wheel's, one has no name, or there are none.
     """
-    if not 1 <= len(posts) <= MOST_POSTS:
-        raise InputError(f"{len(posts)} columns of heights; give one for each wheel, at most {MOST_POSTS}")
+    if not posts:
+        raise InputError("0 columns of heights; give one for each wheel")
     seen: dict[str, str] = {}
     for post in posts:
         name = post_name(post)

@@ -130,10 +130,6 @@ class Road(ABC):
         ]
         return ", ".join([str(kind[1]), *number])
 
-    def cost(self, samples: int) -> float:
-        """Returns the effort for so many samples, over the largest of any run: roads from logs are not computed at any price."""
-        return 0.0
-
     def check(self, vehicle: Vehicle, time: Array) -> None:
         """Checks that a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
 

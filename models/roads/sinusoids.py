@@ -9,7 +9,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.roads.road import LIMITS, Road, check_numbers
 
-MOST_SINES = 200_000_000  # lines times samples
 START = (0.0, 1e4)  # s, when a road may begin
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
@@ -66,10 +65,6 @@ class Multisine(Road):
     def scaled(self, factor: float) -> "Multisine":
         """Returns the road higher or lower."""
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
-
-    def cost(self, samples: int) -> float:
-        """Returns the number of lines times samples, over the largest of any run."""
-        return len(self.omega) * samples / MOST_SINES
 
     def to_height(self, height: float, time: Array) -> "Multisine":
         """Returns the road scaled to a peak [m], either way, over these times [s]."""

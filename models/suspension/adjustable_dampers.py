@@ -13,7 +13,6 @@ its line, plus that of the parallel curve.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.suspension.curve import ForceCurve
 from models.suspension.damper import Damper
-from models.suspension.fitted_curves import SuspensionCurve
+from models.suspension.fitted_curves import Suspended, SuspensionCurve
 
 COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
 ROUNDING = 1e-9  # relative to the force of curve and line
@@ -93,28 +92,9 @@ class Adjustable:
         return replace(self.standing, x=x, force=self.nominal * x + bent)
 
 
-class ForceSuspension(Protocol):
-    """Suspension with a force and a damper; see `models.kinds.kind.Suspension`."""
-
-    @property
-    def force(self) -> str:
-        """The input that pushes along it; empty for a passive one."""
-        ...
-
-    @property
-    def ending(self) -> str:
-        """Suffix of the names at its corner."""
-        ...
-
-    @property
-    def damping(self) -> str:
-        """The parameter of its damper; empty if it has no damper."""
-        ...
-
-
 def adjustable(
     dampers: Mapping[str, Damper],
-    suspensions: Sequence[ForceSuspension],
+    suspensions: Sequence[Suspended],
     parameters: Mapping[str, float],
     curves: Mapping[str, ForceCurve],
 ) -> tuple[Adjustable, ...]:

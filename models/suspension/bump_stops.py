@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import number_within
+from models.common.errors import InputError, listing, quoted
 from models.suspension import STOP_KEYS
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
@@ -127,7 +128,7 @@ def read_stroke(where: str, value: Any) -> float | StopPair:
     Raises:
         InputError: the value is not allowed.
     """
-    return _of_sides(where, value, lambda where, stroke: _number(where, stroke, "m", SMALLEST))
+    return _of_sides(where, value, lambda where, stroke: number_within(where, stroke, SMALLEST, LARGEST, "m"))
 
 
 def read_stiffness(where: str, value: Any) -> Stiffness | StopPair:
@@ -169,26 +170,15 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
 
 def _stiffness(where: str, value: Any) -> Stiffness:
     if not isinstance(value, (list, tuple)):
-        return _number(where, value, "N/m", SMALLEST)
+        return number_within(where, value, SMALLEST, LARGEST, "N/m")
     if not 1 <= len(value) <= MOST:
         raise InputError(
             f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop squeezed by x they push "
             "back with k_1 x + k_2 x^2 + k_3 x^3"
         )
     units = ("N/m", "N/m2", "N/m3")
-    coefficients = tuple(_number(f"{where}[{i}]", k, unit, 0.0) for i, (k, unit) in enumerate(zip(value, units, strict=False)))
-    if not coefficients[0] >= SMALLEST:
-        raise InputError(f"{where}[0] = {coefficients[0]:g} is not allowed; give {number_range(SMALLEST, LARGEST, 'N/m')}")
-    return coefficients
-
-
-def _number(where: str, value: Any, unit: str, smallest: float) -> float:
-    allowed = number_range(smallest, LARGEST, unit)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{where} = {quoted(value)} is not a number; give {allowed}")
-    if not (math.isfinite(value) and smallest <= value <= LARGEST):
-        raise InputError(f"{where} = {quoted(value)} is not allowed; give {allowed}")
-    return float(value)
+    least = (SMALLEST, 0.0, 0.0)
+    return tuple(number_within(f"{where}[{i}]", k, least[i], LARGEST, units[i]) for i, k in enumerate(value))
 
 
 READERS: Mapping[str, Callable[[str, Any], Any]] = dict(zip(STOP_KEYS, (read_stroke, read_stiffness), strict=True))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, listing, quoted
 from models.suspension.curve import ForceCurve
 
@@ -137,9 +138,7 @@ def curve_of(entry: Any, over: Argument) -> ForceCurve:
         raise InputError(f"{quoted(entry)} is not a curve; give {what}")
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
-    for key in entry:
-        if key not in curve_keys(over):
-            raise InputError(f"unknown key {key!r}; known: {listing(curve_keys(over))}")
+    check_keys("", entry, curve_keys(over))
     for key in (over.name, "force"):
         if key not in entry:
             raise InputError(f"{key} is missing; give {what}")
@@ -165,7 +164,7 @@ def _points(given: Any, name: str) -> Array:
     if len(given) > MOST_POINTS:
         raise InputError(f"{name} has {len(given)} points; at most {MOST_POINTS} are read: thin the table")
     for i, value in enumerate(given, 1):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e9:
+        if not is_finite(value) or not abs(value) <= 1e9:
             raise InputError(f"{name} has {quoted(value)} as point {i}; give finite numbers, at most 1e9")
     return np.array(given, dtype=float)
 
@@ -215,13 +214,8 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
 
 def _as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]:
     """Returns the curve in as few straight lines as will do, and its description."""
-    if fit_error is not None and (
-        isinstance(fit_error, bool) or not isinstance(fit_error, (int, float)) or not SMALLEST_ERROR <= fit_error <= LARGEST_ERROR
-    ):
-        raise InputError(
-            f"fit_error = {quoted(fit_error)} is not allowed; give a share of its largest force, from {SMALLEST_ERROR:g} to "
-            f"{LARGEST_ERROR:g}"
-        )
+    if fit_error is not None:
+        number_within("fit_error", fit_error, SMALLEST_ERROR, LARGEST_ERROR, more=", a share of its largest force")
     largest = float(np.abs(force).max())
     indices = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
@@ -276,12 +270,8 @@ def _with_friction(curve: ForceCurve, entry: Mapping[str, Any]) -> ForceCurve:
                 f"{key} is missing; a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, in m/s"
             )
         value = entry[key]
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-            raise InputError(
-                f"{key} = {quoted(value)} is not allowed; a friction is F tanh(v / v0) with friction, F, from "
-                f"{SMALLEST_FRICTION:g} to {LARGEST_FRICTION:g} N, and friction_velocity, v0, from {SMALLEST_CREEP:g} to "
-                f"{LARGEST_CREEP:g} m/s"
-            )
+        unit = "N" if key == "friction" else "m/s"
+        number_within(key, value, low, high, unit, ": a friction is F tanh(v / v0) with friction, F, and friction_velocity, v0")
     v, force = friction_points(entry["friction"], entry["friction_velocity"])
     x = np.unique(np.concatenate([curve.x, v]))
     straight = np.interp(np.clip(x, v[0], v[-1]), v, force)

@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import check_keys, number_within
+from models.common.errors import InputError, listing, quoted
 from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
@@ -172,9 +173,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     common = {name: value for name, value in section.items() if name not in single}
     own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
     for where, value in own.values():
-        for name in value:
-            if name not in KEYS:
-                raise InputError(f"{where} unknown key {name!r}; known: {listing(KEYS)}")
+        check_keys(where, value, KEYS)
     by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
     if not by_force and section:
         raise InputError("[actuators]: this kind of vehicle has no suspension with a force; leave the section out")
@@ -215,10 +214,7 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
         numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}
     for name, value in numbers.items():
         smallest, unit = (0.0, "N s/m") if name == "c_min" else (SMALLEST, "rad/s" if name == "bandwidth" else "N s/m")
-        real = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not real or not smallest <= value <= LARGEST:
-            allowed = number_range(smallest, LARGEST, unit)
-            raise InputError(f"{where} {name} = {quoted(value)} is not allowed; give {allowed}")
+        number_within(f"{where} {name}", value, smallest, LARGEST, unit)
     if not numbers["c_min"] < numbers["c_max"]:
         raise InputError(
             f"{where} c_min = {numbers['c_min']:g} N s/m is not below c_max = {numbers['c_max']:g} N s/m; give a smaller "

@@ -10,7 +10,7 @@ from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 
 
 class Suspended(Protocol):
-    """Suspension that can have curves, see `models.kinds.kind.Suspension`."""
+    """Suspension of a vehicle; see `models.kinds.kind.Suspension`."""
 
     @property
     def deflection(self) -> str:
@@ -23,13 +23,23 @@ class Suspended(Protocol):
         ...
 
     @property
+    def force(self) -> str:
+        """The input that pushes along it; empty for a passive one."""
+        ...
+
+    @property
+    def ending(self) -> str:
+        """Suffix of the names at its corner."""
+        ...
+
+    @property
     def stiffness(self) -> str:
-        """The parameter of its spring."""
+        """The parameter of its spring; empty if it has no spring."""
         ...
 
     @property
     def damping(self) -> str:
-        """The parameter of its damper."""
+        """The parameter of its damper; empty if it has no damper."""
         ...
 
 

@@ -1,6 +1,5 @@
 """`[controllers]` of a vehicle file: the measured signals of each, and its law or its method of design."""
 
-import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import is_finite
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.printed import size
-from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
+from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number
 from models.kinds.linear_model import LinearModel
 from models.laws import GOAL_KEYS
 from models.laws.combinations import (
@@ -429,10 +429,10 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
         )
     for key in MATRICES:
         rows = entry[key]
-        if not (isinstance(rows, list) and all(isinstance(row, list) and all(map(_is_real, row)) for row in rows)):
+        if not (isinstance(rows, list) and all(isinstance(row, list) and all(map(is_finite, row)) for row in rows)):
             raise InputError(f"{where} {key} = {quoted(rows)} is not a matrix of numbers; give a list of rows")
     period = entry.get("sample_period")
-    if period is not None and (not _is_real(period) or not SHORTEST <= period <= LONGEST):
+    if period is not None and (not is_finite(period) or not SHORTEST <= period <= LONGEST):
         raise InputError(
             f"{where} sample_period = {quoted(period)} is not allowed; give seconds from {SHORTEST:g} to {LONGEST:g}"
         )
@@ -465,8 +465,3 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
     if len(rows) != m or any(len(row) != q for row in rows):
         raise InputError(f"{where} gain has {size(rows)}; {allowed}")
     return np.array(rows, dtype=float)
-
-
-def _is_real(value: Any) -> bool:
-    """Returns True for a number of any size: the law itself limits its entries, as these depend on its states' units."""
-    return is_within(value, sys.float_info.max)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from models.common.checks import check_keys
 from models.common.errors import InputError, alike, listing, quoted
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS
@@ -240,9 +241,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...],
     Raises:
         InputError: a key or signal is unknown, or a value is not allowed.
     """
-    for name in section:
-        if name not in IMPLEMENTATION_KEYS:
-            raise InputError(f"[implementation] unknown key {name!r}; known: {listing(IMPLEMENTATION_KEYS)}")
+    check_keys("[implementation]", section, IMPLEMENTATION_KEYS)
     values_by_key: dict[str, Any] = {}
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import GRAVITY, Parameter, VehicleKind, is_within
+from models.common.checks import number_within
+from models.common.errors import InputError, listing
+from models.kinds.kind import GRAVITY, Parameter, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
 from models.suspension.bump_stops import SIDES, Place, StopPair
@@ -77,10 +78,8 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
             )
         if key not in KEYS:
             raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
-        if key in PLACE and not is_within(value, FARTHEST):
-            raise InputError(
-                f"{where} {key} = {quoted(value)} is not allowed; give a number from -{FARTHEST:g} to {FARTHEST:g} m"
-            )
+        if key in PLACE:
+            number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
             raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; leave {key} out")
     if "mass" not in given:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.common.errors import InputError, listing, number_range, quoted
-from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number, is_within
+from models.common.checks import check_keys, is_finite, number_within
+from models.common.errors import InputError, listing, quoted
+from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
@@ -125,8 +126,7 @@ def read_performance(
 
 def check_weight(where: str, weight: Any) -> None:
     """Refuses a weight that is neither 0 nor a number in range."""
-    real = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-    if not real or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
+    if not is_finite(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
         raise InputError(
             f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
             'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
@@ -136,9 +136,7 @@ def check_weight(where: str, weight: Any) -> None:
 def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
     from models.laws.filter import KEYS, read_filter
 
-    for key in given:
-        if key not in KEYS:
-            raise InputError(f"{where} unknown key {key!r}; a weight with a filter has {listing(KEYS)}")
+    check_keys(where, given, KEYS)
     return read_filter(where, given, integrates)
 
 
@@ -234,7 +232,7 @@ def goals_of(
         return None
     from models.laws.goals import read_goals
 
-    return read_goals(where, entry, measured, outputs, kind)
+    return read_goals(where, entry, measured, outputs, kind.corners, [parameter.name for parameter in kind.parameters])
 
 
 def without_weighted_errors(entry: Any) -> tuple[Any, dict[str, Any]]:
@@ -289,9 +287,8 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
     for name, value in given.items():
         if name not in loads:
             raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
-        if not (is_within(value, LARGEST) and value >= SMALLEST):
-            allowed = number_range(SMALLEST, LARGEST, "N" if name.startswith(HEAVE_LOAD.name) else "N m")
-            raise InputError(f"{where} loads: {name} = {quoted(value)} is not allowed; give {allowed}")
+        unit = "N" if name.startswith(HEAVE_LOAD.name) else "N m"
+        number_within(f"{where} loads: {name}", value, SMALLEST, LARGEST, unit)
     return tuple((name, float(value)) for name, value in given.items())
 
 

@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from models.common.errors import InputError, listing, number_range, quoted
-from models.kinds.kind import is_number
+from models.common.checks import number_within
+from models.common.errors import InputError, listing, quoted
 from models.laws.filter import POLYNOMIALS, Filter, read_filter
 from models.laws.goals import FORCE
 
@@ -76,12 +76,8 @@ def _weight(where: str, given: Any) -> Filter:
                     f"{where} weight has the key {quoted(key)}; give a numerator and a denominator, which hold all of the weight"
                 )
         return read_filter(where, given)
-    if not is_number(given) or not SMALLEST <= given <= LARGEST:
-        raise InputError(
-            f"{where} weight = {quoted(given)} is not allowed; give {number_range(SMALLEST, LARGEST)}, or a numerator and a "
-            "denominator, coefficients by falling powers of s"
-        )
-    return Filter((((float(given),), (1.0,)),))
+    more = ", or a numerator and a denominator, coefficients by falling powers of s"
+    return Filter((((number_within(f"{where} weight", given, SMALLEST, LARGEST, more=more),), (1.0,)),))
 
 
 def _record(one: Filter) -> dict[str, Any]:

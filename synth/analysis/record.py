@@ -28,7 +28,6 @@ PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them
-MOST_ZEROS = 200  # in a certificate; at most one per state, and each is a row of Pick's matrix
 SAME = 1e-9  # relative: difference that rounding on another machine may cause
 
 
@@ -198,13 +197,13 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
         return None
     try:
         of_z, of_y = (tuple(complex(float(real), float(imag)) for real, imag in kind) for kind in value)
-        fits = len(of_z) + len(of_y) <= MOST_ZEROS and all(np.isfinite(zero) for zero in (*of_z, *of_y))
+        fits = all(np.isfinite(zero) for zero in (*of_z, *of_y))
     except (TypeError, ValueError, OverflowError):
         fits, of_z, of_y = False, (), ()
     if not fits:
         raise InputError(
-            f"zeros = {quoted(value)} in a certificate are not two lists of at most {MOST_ZEROS} pairs of finite numbers, of a "
-            "real and an imaginary part; save it again"
+            f"zeros = {quoted(value)} in a certificate are not two lists of pairs of finite numbers, of a real and an imaginary "
+            "part; save it again"
         )
     return of_z, of_y
 

@@ -4,7 +4,7 @@ The signals of a plant by itself are y1, y2, ..., its forces u1, u2, ..., and th
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,6 @@ from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals,
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import GeneralizedPlant
-
-
-@dataclass(frozen=True)
-class _Nameless:
-    """Stand-in of a plant for a kind of vehicle, as goals need it: no parameters, and forces that belong to no corner."""
-
-    corners: Mapping[str, str]
-    parameters: tuple[()] = ()
 
 
 def norms_of(goals: Goals) -> list[NormOf]:
@@ -93,7 +85,7 @@ def goals_of_plants(
     if section.get("structure") == CORNER:
         raise InputError(f'{where} structure = "{CORNER}" is of vehicles; give rows of 0 and 1, a row for each force')
     family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
-    goals = read_goals(where, {**section, **family}, measured, outputs, _Nameless(dict.fromkeys(forces, "")))
+    goals = read_goals(where, {**section, **family}, measured, outputs, dict.fromkeys(forces, ""))
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
         raise InputError(f"{where} bounds have a peak over a road, which no plant by itself has; bound an energy_peak or a norm")
     norms = norms_of(goals)
