@@ -195,7 +195,7 @@ timestep = 2e-3
 """
     rows, _ = run(tmp_path, text, "--workers", "1")
     capsys.readouterr()
-    about = json.loads((tmp_path / "results" / "campaign.json").read_text())["columns"]
+    about = json.loads((tmp_path / "results" / "plan.json").read_text())["columns"]
     assert about["iri"]["unit"] == "m/km"
     assert "a property of the road" in about["iri"]["definition"]
 
@@ -502,7 +502,7 @@ def test_killed_ten_times(tmp_path):
     out, err = process.communicate()
     assert (process.returncode, err) == (0, "")
     assert json.loads(out)["runs"] == 2 * 2 * 61
-    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == [".lock", "campaign.json", "results.parquet"]
+    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == [".lock", "plan.json", "results.parquet"]
     rows, _ = run(tmp_path, QUICK, results="uninterrupted")
     assert pq.read_table(tmp_path / "results" / "results.parquet").to_pylist() == rows
 

@@ -202,7 +202,7 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
     campaign_of(inside)
     rows_of(file, results="other")
     (inside / "campaign.toml").unlink()
-    (tmp_path / "other" / "campaign.json").rename(inside / "campaign.json")
+    (tmp_path / "other" / "plan.json").rename(inside / "plan.json")
     with pytest.raises(InputError, match=r"mine.py lies in the folder of results, from which no code is run"):
         main([str(file), "--results", str(inside)])
 

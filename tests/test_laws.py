@@ -271,7 +271,7 @@ def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     assert campaign(ask) == 0  # nothing is left to do
     assert campaign(["--verify", str(tmp_path / "results"), "--json"]) == 0
     capsys.readouterr()
-    held = json.loads((tmp_path / "results" / "campaign.json").read_text(encoding="utf-8"))["controllers"]["car.toml"]["mine"]
+    held = json.loads((tmp_path / "results" / "plan.json").read_text(encoding="utf-8"))["controllers"]["car.toml"]["mine"]
     assert held == {"measured": list(one.measured), **record}
 
 

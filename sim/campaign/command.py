@@ -232,7 +232,7 @@ def _planned(campaign: Campaign, gains: Gains, folder: Path) -> Plan:
 
 def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:
     about = {"campaign": plan.campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
-    return Store(folder, columns(plan.campaign), about, manifest)
+    return Store(folder, columns(plan.campaign), about, manifest.runs)
 
 
 def _versions() -> dict[str, str]:

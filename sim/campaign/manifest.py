@@ -1,24 +1,21 @@
-"""Manifest of a results folder: sources of the campaign, the gains that are driven, and the results; under a seal.
-
-The seal is a checksum: it shows damage or edits by hand, not the author. `sim.campaign --verify` is there for that.
-"""
+"""The plan of a campaign in its results folder: what it runs, with which gains and versions."""
 
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import filelock
 
-from models.common.errors import InputError, first_few, quoted
-from models.common.files import made_folder, read_text, whole_file
-from models.laws.linear import MATRICES, PREVIEW_MATRICES
+from models.common.errors import InputError, first_few
+from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import Driver
 
-NAME, LOCK = "campaign.json", ".lock"
+NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
+EARLIER = "campaign.json"  # the plan in folders of version 0.1
 FULL = "free some space or name another folder with --results; what is done is kept"
 ELSEWHERE = "name another folder, empty or new, with --results, or remove what is there"
 
@@ -27,23 +24,22 @@ class FaultError(InputError):
     """Folder contents that differ from those that a campaign wrote: damaged, or edited."""
 
 
-# Of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
+# The gains of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
 Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """Data of a campaign at its beginning and, with its results, at its end.
+    """What a campaign runs, from its beginning on.
 
     Attributes:
         file: absolute path of the campaign file when the campaign began.
-        digest: of everything that decides the numbers; see `digest`.
-        versions: of the packages that do.
-        campaign: the campaign file's text.
+        digest: checksum of everything that determines the numbers; see `digest`.
+        versions: versions of the packages that do.
+        campaign: text of the campaign file.
         controllers: the gains.
         columns: description of each column of the results, by name; see `sim.campaign.columns.described`.
         runs: number of runs.
-        results: checksum of the finished file (SHA-256); empty before.
     """
 
     file: str
@@ -53,115 +49,42 @@ class Manifest:
     controllers: Gains
     columns: Mapping[str, Mapping[str, str]]
     runs: int
-    results: str = ""
-
-    @property
-    def seal(self) -> str:
-        """Checksum of all that does not change from the beginning to the end."""
-        content = asdict(replace(self, results=""))
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def write(self, folder: Path) -> None:
-        """Writes it down, whole or not at all.
+        """Writes it into the results folder.
 
         Raises:
             InputError: it cannot be written.
         """
-        whole = asdict(self)
-        whole["seal"] = _sealed(whole)
         with whole_file(folder / NAME, "results", FULL) as path:
-            path.write_text(json.dumps(whole, indent=1), encoding="utf-8", newline="\n")
+            path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8", newline="\n")
 
 
 def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
-    """Returns the manifest of a folder, or None if the folder is empty.
+    """Returns the plan in a folder, or None if the folder is empty.
 
     Args:
-        instead: advice of the message, if the folder has no readable campaign.
+        instead: advice for the message, if the folder has no readable campaign.
 
     Raises:
-        InputError: it holds something else, a campaign of another format, or a damaged or edited manifest.
+        InputError: the folder has other files, an unfinished campaign of an earlier version, or a plan that cannot be read.
     """
     path = folder / NAME
-    if not path.is_symlink() and not path.exists():
+    if not path.exists() and (folder / EARLIER).exists():
+        path = folder / EARLIER
+        if not (folder / RESULTS).exists():
+            raise InputError(f"the campaign in {folder} was begun by Roadproof 0.1; finish it with that version, or {instead}")
+    if not path.exists():
         others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
         if others:
             raise InputError(f"{folder} holds no campaign, but {others[0]}; {instead}")
         return None
-    text = read_text(path, "results", instead)
-    try:
-        whole = json.loads(text)
-    except (ValueError, RecursionError):
-        whole = None
-    if isinstance(whole, dict) and "seal" not in whole:
-        raise InputError(
-            f"results {path}: has no seal; it is of an older Roadproof, or was edited; go on with that version, or {instead}"
-        )
-    if not isinstance(whole, dict) or whole.pop("seal") != _sealed(whole):
-        raise FaultError(f"results {path}: was changed since the campaign began, or is damaged; restore it, or {instead}")
-    entries = {field.name for field in fields(Manifest)}
-    if set(whole) != entries:
-        differences = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
-        raise InputError(
-            f"results {path}: is of another version of Roadproof ({differences}); go on with that version, or {instead}"
-        )
-    for name, value in whole.items():
-        if not _is_its_kind(name, value):
-            raise FaultError(f"results {path}: {name} = {quoted(value)} is not what a campaign writes; restore it, or {instead}")
-    return Manifest(**whole)
-
-
-def _is_its_kind(name: str, value: Any) -> bool:
-    """Returns True if a manifest's entry and its parts have the required types."""
-
-    def by_text(value: Any, of: Callable[[Any], bool]) -> bool:
-        return isinstance(value, dict) and all(of(each) for each in value.values())
-
-    def text(value: Any) -> bool:
-        return isinstance(value, str)
-
-    def texts(value: Any) -> bool:
-        return isinstance(value, list) and all(text(each) for each in value)
-
-    def row(value: Any) -> bool:
-        return isinstance(value, list) and all(type(each) in (int, float) for each in value)
-
-    def matrix(value: Any) -> bool:
-        return isinstance(value, list) and all(row(each) for each in value)
-
-    def code(value: Any) -> bool:
-        if not isinstance(value, dict) or set(value) != {"numbers", "name", "ranges", "manifest_sha256"}:
-            return False
-        ranges = value["ranges"] is None or by_text(value["ranges"], lambda most: type(most) is float)
-        return ranges and all(text(value[key]) for key in ("numbers", "name", "manifest_sha256"))
-
-    def law(value: Any) -> bool:
-        numbers = ("sample_period", "anti_windup")
-        if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get(key, 0) for key in numbers]):
-            return False
-        if "code" in value:
-            return code(value["code"]) and law({key: each for key, each in value.items() if key != "code"})
-        if key := next((key for key in ("law", "fmu") if key in value), None):
-            return set(value) - {"preview"} == {"measured", key, "sha256"} and text(value[key]) and text(value["sha256"])
-        if "semi_active" in value:
-            numbers = [value[key] for key in set(value) - {"measured", "semi_active"}]
-            return text(value["semi_active"]) and row(numbers)
-        if isinstance(ahead := value.get("preview"), dict):  # beside a gain
-            seconds, *parts = (ahead.get(name) for name in ("seconds", *PREVIEW_MATRICES))
-            known = set(ahead) == {"seconds", *PREVIEW_MATRICES} and type(seconds) is float and all(map(matrix, parts))
-            return known and law({key: each for key, each in value.items() if key != "preview"})
-        matrices = set(value) - {"measured", *numbers}
-        return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
-
-    if name == "runs":
-        return type(value) is int
-    if name == "versions":
-        return by_text(value, text)
-    if name == "columns":
-        return by_text(value, lambda column: by_text(column, text))
-    if name == "controllers":
-        return by_text(value, lambda some: by_text(some, law))
-    return text(value)
+    with reading(path, "campaign plan", instead):
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        names = [field.name for field in fields(Manifest)]
+        if not isinstance(whole, dict) or not {*names} <= {*whole}:
+            raise InputError(f"it does not have the entries {', '.join(names)}; restore it, or {instead}")
+        return Manifest(**{name: whole[name] for name in names})
 
 
 def check_same(
@@ -237,7 +160,3 @@ def locked(folder: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 if not (folder / NAME).exists():
                     (folder / LOCK).unlink()
-
-
-def _sealed(whole: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
