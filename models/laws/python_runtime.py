@@ -217,7 +217,7 @@ class FileRuns:
         self._what, self._name, self._left, self._count = described(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
-        weakref.finalize(self, _idle.append, self._child).atexit = False
+        weakref.finalize(self, _idle[os.getpid()].append, self._child).atexit = False
         self._child.send(("begin", os.getcwd(), sys.path, controller, forces))
 
     def add(self, parameters: Mapping[str, float]) -> bool:
@@ -256,12 +256,13 @@ class FileRuns:
         raise self._error
 
 
-_idle: list[Child] = []  # children that no runs use at the moment
+_idle: dict[int, list[Child]] = {}  # children that no runs use at the moment, by process: a fork does not own those of its parent
 
 
 def _child() -> Child:
+    idle = _idle.setdefault(os.getpid(), [])
     with suppress(IndexError):  # there is none
-        while (child := _idle.pop()).ended:
+        while (child := idle.pop()).ended:
             pass
         return child
     return Child(_served)
