@@ -565,36 +565,6 @@ def test_another_campaign_is_left_alone(tmp_path):
     assert run(tmp_path, text)[0] == rows
 
 
-@pytest.mark.slow
-def test_on_a_cluster(small, tmp_path):
-    """On a Ray cluster of two workers, one of which is killed in the middle, the rows are the same."""
-    ray = pytest.importorskip("ray")
-    psutil = pytest.importorskip("psutil")
-    import threading
-
-    ray.init(num_cpus=2, runtime_env={"env_vars": {"PYTHONPATH": str(ROOT)}}, log_to_driver=False, include_dashboard=False)
-    victims = []
-
-    def kill_one():
-        while not victims:
-            for process in psutil.Process().children(recursive=True):
-                with contextlib.suppress(psutil.Error):  # it has gone meanwhile
-                    if "run_timed" in " ".join(process.cmdline()):
-                        process.kill()
-                        victims.append(process.pid)
-                        return
-            time.sleep(0.02)
-
-    killer = threading.Thread(target=kill_one, daemon=True)
-    try:
-        killer.start()
-        rows, _ = run(tmp_path, SMALL, "--ray", "--batch", "7")
-    finally:
-        ray.shutdown()
-    assert len(victims) == 1
-    assert rows == small[0]
-
-
 BASE = {"vehicles": '["quarter_car"]', "controllers": '["I"]', "roads": '["iso8608:class=C"]', "speeds": "[20.0]"}
 SAMPLED = "[samples]\ncount = 4\n[samples.parameters]\n"
 

@@ -1,4 +1,4 @@
-"""A campaign on a Ray cluster that is joined by its address, of two nodes, one of which is killed; and one that shrinks."""
+"""A campaign on a Ray cluster of two nodes, which is joined by its address. One node is killed."""
 
 import os
 import signal
@@ -10,15 +10,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
 from sim.campaign.__main__ import main
-from sim.campaign.plan import Plan
-from sim.campaign.workers import AHEAD, on_ray
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 60.0  # s for anything to happen; a node takes 4 to 8 to start, the campaign 12
@@ -84,46 +80,6 @@ def works(process: subprocess.Popen[bytes]) -> bool:
     with suppress(psutil.Error):
         return any("run_timed" in " ".join(one.cmdline()) for one in psutil.Process(process.pid).children(recursive=True))
     return False
-
-
-class Shrinking:
-    """The part of Ray that a campaign uses, with as many cores as it is told, the last for ever."""
-
-    def __init__(self, *cores: int) -> None:
-        """Returns those it has whenever it is asked."""
-        self.cores, self.most = list(cores), 0
-
-    def remote(self, **options):
-        """A function whose calls are made at once; of how many at most were waited for is noted."""
-        return lambda function: SimpleNamespace(remote=lambda *arguments: (arguments[1:],))
-
-    def put(self, thing):
-        """As it is."""
-        return thing
-
-    def cluster_resources(self):
-        """Returns how many cores there are now."""
-        return {"CPU": float(self.cores.pop(0) if len(self.cores) > 1 else self.cores[0])}
-
-    def wait(self, references, num_returns):
-        """The first is done."""
-        self.most = max(self.most, len(references))
-        return references[:1], references[1:]
-
-    def get(self, reference):
-        """No rows, in no time."""
-        return [], 0.0
-
-
-@pytest.mark.parametrize("cores", [(8, 1), (8, 4, 0, 2, 8), (1,), (0,)])
-def test_a_cluster_that_shrinks(monkeypatch, cores):
-    """If nodes go while batches are in flight, no batch is lost, and no more are handed out than the cores left can take."""
-    ray: Any = Shrinking(*cores)
-    monkeypatch.setitem(sys.modules, "ray", ray)
-    batches = [(i, i + 1) for i in range(50)]
-    done = [start for start, _, _ in on_ray(Plan(None, {}), iter(batches))]  # pyright: ignore[reportArgumentType] - it is not looked at
-    assert sorted(done) == list(range(50))
-    assert ray.most == AHEAD * max(*cores, 1)
 
 
 @pytest.mark.attack

@@ -30,7 +30,7 @@ class PythonLaw:
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: how far ahead it gets the road [s]; None if it does not get it.
-        folder: of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
+        folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
     """
 
     law: str
@@ -64,7 +64,7 @@ class PythonLaw:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as JSON and TOML hold it."""
+        """The law as in JSON and TOML."""
         return {"fmu" if self.is_fmu else "law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
 
     @property
@@ -132,7 +132,7 @@ class Programmed:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as JSON has them."""
+        """Name, signals and law as in JSON."""
         return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
 
 
@@ -175,7 +175,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         fmu = entry["fmu"]
         named = isinstance(fmu, str) and FMU.fullmatch(fmu) is not None and not Path(fmu).is_absolute()
         if not named or ".." in Path(fmu).parts:
-            raise InputError(f"{where} fmu = {quoted(fmu)} is no FMU; {GIVE_FMU}")
+            raise InputError(f"{where} fmu = {quoted(fmu)} is not an FMU; {GIVE_FMU}")
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
             raise InputError(
@@ -194,7 +194,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
     law = entry["law"]
     match = LAW.fullmatch(law) if isinstance(law, str) else None
     if match is None or Path(match["file"]).is_absolute() or ".." in Path(match["file"]).parts:
-        raise InputError(f"{where} law = {quoted(law)} is no law in Python; {GIVE}")
+        raise InputError(f"{where} law = {quoted(law)} is not a law in Python; {GIVE}")
     preview = entry.get("preview")
     return PythonLaw(law, None if preview is None else checked_preview(where, preview), folder)
 
@@ -203,7 +203,7 @@ def checked_preview(where: str, preview: Any) -> float:
     """Returns how far the road ahead is known [s].
 
     Raises:
-        InputError: it is no number of seconds from 0 to `FURTHEST`.
+        InputError: the value is not a number of seconds from 0 to `FURTHEST`.
     """
     real = isinstance(preview, (int, float)) and not isinstance(preview, bool)
     if not real or not 0 <= preview <= FURTHEST:

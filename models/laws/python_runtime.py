@@ -44,7 +44,7 @@ class Sample:
         period: until the next sample [s].
         preview: heights of the road [m], a row per wheel: under it now, and at each of the next samples, as far as `preview`
             says, shape (r, P); None if the vehicle file declares no preview.
-        parameters: of the vehicle, by name, in SI units.
+        parameters: parameters of the vehicle by name, in SI units.
 
     A vectorised law gets N runs side by side: y has shape (N, q), `sample["sprung_velocity"]` (N,), preview (N, r, P), and
     every parameter (N,).
@@ -119,16 +119,16 @@ class OwnLaw:
         """Calls the law once and checks its result, whose methods may be user code as well."""
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
-            raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
+            raise InputError(f"it returns {_short(given)}, not two values; end it with: return force, state")
         force, self._state = given
         check_unmasked("its force", force)
         forces = np.asarray(force)
         if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
-            raise InputError(f"its force is {_short(force)}, which is no real number; give newtons")
+            raise InputError(f"its force is {_short(force)}, which is not a real number; give newtons")
         try:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"its force is {_short(force)}, which is no real number; give newtons") from None
+            raise InputError(f"its force is {_short(force)}, which is not a real number; give newtons") from None
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # one actuator: a number is enough
         if forces.shape != shape and not scalar:
             raise InputError(f"its force has shape {forces.shape}; expected {shape}, a number per actuator")
@@ -217,7 +217,7 @@ class FileRuns:
         self._what, self._name, self._left, self._count = described(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
-        weakref.finalize(self, _idle.append, self._child).atexit = False
+        weakref.finalize(self, _idle[os.getpid()].append, self._child).atexit = False
         self._child.send(("begin", os.getcwd(), sys.path, controller, forces))
 
     def add(self, parameters: Mapping[str, float]) -> bool:
@@ -244,7 +244,7 @@ class FileRuns:
             self._left -= clock() - began
 
     def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
-        """Returns the child's answer. Once the child has ended, every answer is the error that says so."""
+        """Returns the child's answer. Once the child has ended, it always raises the same error."""
         if self._error is None:
             try:
                 return self._child.ask(message, longest)
@@ -256,12 +256,13 @@ class FileRuns:
         raise self._error
 
 
-_idle: list[Child] = []  # children that no runs use at the moment
+_idle: dict[int, list[Child]] = {}  # children that no runs use at the moment, by process: a fork does not own those of its parent
 
 
 def _child() -> Child:
+    idle = _idle.setdefault(os.getpid(), [])
     with suppress(IndexError):  # there is none
-        while (child := _idle.pop()).ended:
+        while (child := idle.pop()).ended:
             pass
         return child
     return Child(_served)
@@ -317,5 +318,5 @@ def _timed(function: Any) -> bool:
 
 
 def _short(value: Any) -> str:
-    """Returns a user's value as a message has it."""
+    """Returns a user's value as text for a message."""
     return quoted(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"
