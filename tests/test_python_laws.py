@@ -309,20 +309,18 @@ def test_log_proves_without_running_the_law(tmp_path, monkeypatch, capsys, optio
 
 def test_other_forces_or_another_text_in_a_log_are_found(tmp_path, monkeypatch):
     """Forces that were changed in a log, by a ten-millionth of a newton, or another text of the law, fail."""
-    from sim.inspect import reproduction
+    from sim.inspect import replay
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
 
     log = read_log(log_of(tmp_path, SWITCHED, "sim.bump", "--height", "0.02"))
     assert prove(log).holds
-    forces = reproduction.read_forces
-    monkeypatch.setattr(reproduction, "read_forces", lambda *arguments: forces(*arguments) + 1e-7)
+    forces = replay.read_forces
+    monkeypatch.setattr(replay, "read_forces", lambda *arguments: forces(*arguments) + 1e-7)
     assert not prove(log).holds
     monkeypatch.undo()
-    name = next(name for name in log.file.attachments if name.startswith("law-"))
-    attached = dict(log.file.attachments)
-    attached[name] = replace(attached[name], data=attached[name].data + b"#")
-    changed = replace(log, file=replace(log.file, attachments=attached))
+    name = next(name for name in log.attachments if name.startswith("law-"))
+    changed = replace(log, attachments={**log.attachments, name: log.attachments[name] + b"#"})
     (finding,) = [one for one in prove(changed).runs[0].findings if one.verdict == "FAILS"]
     assert "checksum" in finding.text
 
