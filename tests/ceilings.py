@@ -22,7 +22,7 @@ COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
 what all commands share: files, options, checks, tables of numbers   2583   2120      0
-    models/common/* tests/test_{columns,files,interrupts*,loaded,messages,portable}.py
+    models/common/* tests/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/test_{printed,progress,roadproof,shell,tables,wrong_calls}.py
 vehicle file, types, equations, MJCF                           4960   1518    307
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
@@ -35,7 +35,7 @@ laws and families in files                                      584    459     1
 foreign FMU as a controller                                     388    241      0
     models/vehicle/*fmu*.py tests/test_foreign_fmu.py
 laws in Python                                                  639    884    142
-    models/laws/{python_law,python_runtime,user_code}.py tests/test_{python,stray}_laws.py docs/how-to/a-law-in-python.md
+    models/laws/{python_law,python_runtime,user_code}.py tests/test_python_laws.py docs/how-to/a-law-in-python.md
     docs/how-to/any-controller.md tests/test_any_controller.py
 custom vehicle types                                            287    506    121
     models/kinds/user_kind.py tests/damaged_kinds.py tests/test_own_*.py docs/how-to/your-own-kind.md
