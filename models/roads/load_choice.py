@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.files import TEXT, read_text
+from models.common.files import reading
 from models.common.printed import settings
 from models.common.table import find_table
-from models.common.units import FORCE, MOMENT, TIME, quantity
+from models.common.units import quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.roads.load import UNITS as SETTING_UNITS
@@ -20,7 +20,6 @@ from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
-UNITS = {"time": TIME, "heave": FORCE, "pitch": MOMENT, "roll": MOMENT}
 MOST_ROWS = 20_000
 LARGEST = 1e9  # N, N m, s
 GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch [N m], roll [N m]"
@@ -90,7 +89,8 @@ def read_history(path: Path) -> History:
     Raises:
         InputError: the file cannot be read, or is no load file; the message names the line.
     """
-    return parse_history(read_text(path, "load file", TEXT, GIVE), named(path))
+    with reading(path, "load file", GIVE):
+        return _history(path.read_text(encoding="utf-8-sig"), named(path))
 
 
 def named(path: Path | str) -> str:
@@ -108,18 +108,15 @@ def parse_history(text: str, source: str) -> History:
 
 def _history(text: str, source: str) -> History:
     table = find_table(text, GIVE)
-    headings = table.headings(TIME | FORCE | MOMENT)
-    names = table.names(headings, UNITS)
-    if "time" not in names or len(names) < 2:
-        raise InputError(f"its columns are {listing(names)}; {GIVE}")
-    numbers, lines = table.numbers()
+    values = table.quantities(("time", *NAMES))
+    if "time" not in values or len(values) < 2:
+        raise InputError(f"its columns are {listing(values)}; {GIVE}")
+    time, lines = values.pop("time"), [line for line, _ in table.rows()]
     if not 2 <= len(lines) <= MOST_ROWS:
         raise InputError(f"has {len(lines)} rows of numbers; give 2 to {MOST_ROWS}")
-    numbers = numbers * [heading.scale(UNITS[name]) for heading, name in zip(headings, names, strict=True)]
-    for row, column in np.argwhere(np.abs(numbers) > LARGEST)[:1].tolist():
-        raise InputError(f"line {lines[row]}, column {column + 1}: {numbers[row, column]:g} is beyond {LARGEST:g}, in SI units")
-    values = dict(zip(names, numbers.T, strict=True))
-    time = values.pop("time")
+    for name, column in values.items():
+        for i in np.flatnonzero(np.abs(column) > LARGEST)[:1].tolist():
+            raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, beyond {LARGEST:g} in SI units; correct it")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
         raise InputError(f"line {lines[i + 1]}: its time, {time[i + 1]:g} s, is not after the one before; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
