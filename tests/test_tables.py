@@ -108,23 +108,36 @@ def test_one_decimal_mark(caller, tmp_path):
         read(caller, text, tmp_path)
 
 
-FIELD = [  # (caller, text in the format of a public file or tool, settings, numbers in SI)
-    ("road", "Time (s);X (m);Y (m)\n0,0;0,0;-0,03\n0,005;0,083;-5,7e-06\n", ":columns=2,3", [[0, -0.03, -0.03], [0.083, -5.7e-6, -5.7e-6]]),
-    ("road", "X,Y,Distance (feet),Ground Elevation (feet)\n-130.78,403.47,0,1920.57\n-130.76,403.62,10,1921.57\n", ":columns=3,4",
-     [[0, 1920.57 * 0.3048] + [1920.57 * 0.3048], [10 * 0.3048, 1921.57 * 0.3048, 1921.57 * 0.3048]]),
-    ("road", "0 100.23\n15 104.25 40.0\n30 102.5\n", ":columns=1,2", [[0, 100.23, 100.23], [15, 104.25, 104.25], [30, 102.5, 102.5]]),
-    ("road", "TBC Excel - Station,Offset,Elevation,Code\n20,-8.5,59.5,TIEL\n20.5,-3.5,62.75,CL\n", ":columns=1,3", [[20, 59.5, 59.5], [20.5, 62.75, 62.75]]),
-    ("road", '"Distance\n[m]";"Left\n[mm]";"Right\n[mm]"\r\n0;1,5;2\r\n0,25;3;-1,5\r\n;;\r\n', "", [[0, 0.0015, 0.002], [0.25, 0.003, -0.0015]]),
-    ("road", "% MATLAB\n% distance [m]\televation [mm]\n0\t0\n0.5\t12\n", "", [[0, 0, 0], [0.5, 0.012, 0.012]]),
-    ("road", "Distance\tElevation\tRemark\nm\tmm\t\n0\t0\t\n0.5\t12\tmanhole\n", "", [[0, 0, 0], [0.5, 0.012, 0.012]]),
-    ("road", "Date;01.02.2020\nBy;J. D.\n\nchainage / m;right / mm;left / mm;;\n0,00;1,5;2,5;;\n0,25;-1;3;;\n;;;;\n", "", [[0, 0.0025, 0.0015], [0.25, 0.003, -0.001]]),
-    ("curve", "Velocity [mm/sec];Force [N]\n-100;-350,5\n0;0\n250,5;900\n", "", [[-0.1, -350.5], [0, 0], [0.2505, 900]]),
-    ("curve", "# TTX\nforce\tvelocity\nN\tmm/s\n-350\t-127\n400\t127\n\t\n", "", [[-0.127, -350], [0.127, 400]]),
-    ("rig", "Channels:\nTime\tFront\tRear\nsec\tmm\tmm\n" + "".join(f"0.0{i}\t{i}\t2\n" for i in range(4)), "", [[i / 100, i * 1e-3, 2e-3] for i in range(4)]),
-]  # fmt: skip
+TEXTS = {  # in the formats of public files and tools
+    "generator": "Time (s);X (m);Y (m)\n0,0;0,0;-0,03\n0,005;0,083;-5,7e-06\n",
+    "map": "X,Y,Distance (feet),Ground Elevation (feet)\n-130.78,403.47,0,1920.57\n-130.76,403.62,10,1921.57\n",
+    "alignment": "0 100.23\n15 104.25 40.0\n30 102.5\n",
+    "survey": "TBC Excel - Station,Offset,Elevation,Code\n20,-8.5,59.5,TIEL\n20.5,-3.5,62.75,CL\n",
+    "lines in headings": '"Distance\n[m]";"Left\n[mm]";"Right\n[mm]"\r\n0;1,5;2\r\n0,25;3;-1,5\r\n;;\r\n',
+    "MATLAB": "% MATLAB\n% distance [m]\televation [mm]\n0\t0\n0.5\t12\n",
+    "remarks": "Distance\tElevation\tRemark\nm\tmm\t\n0\t0\t\n0.5\t12\tmanhole\n",
+    "spreadsheet": "Date;01.02.2020\nBy;J. D.\n\nchainage / m;right / mm;left / mm;;\n0,00;1,5;2,5;;\n0,25;-1;3;;\n;;;;\n",
+    "damper dyno": "Velocity [mm/sec];Force [N]\n-100;-350,5\n0;0\n250,5;900\n",
+    "damper in tabs": "# TTX\nforce\tvelocity\nN\tmm/s\n-350\t-127\n400\t127\n\t\n",
+    "rig": "Channels:\nTime\tFront\tRear\nsec\tmm\tmm\n0\t0\t2\n0.01\t1\t2\n0.02\t2\t2\n0.03\t3\t2\n",
+}
+FOOT = 0.3048
+FIELD = [  # (name of the text, caller, settings, numbers in SI)
+    ("generator", "road", ":columns=2,3", [[0, -0.03, -0.03], [0.083, -5.7e-6, -5.7e-6]]),
+    ("map", "road", ":columns=3,4", [[0, 1920.57 * FOOT, 1920.57 * FOOT], [10 * FOOT, 1921.57 * FOOT, 1921.57 * FOOT]]),
+    ("alignment", "road", ":columns=1,2", [[0, 100.23, 100.23], [15, 104.25, 104.25], [30, 102.5, 102.5]]),
+    ("survey", "road", ":columns=1,3", [[20, 59.5, 59.5], [20.5, 62.75, 62.75]]),
+    ("lines in headings", "road", "", [[0, 0.0015, 0.002], [0.25, 0.003, -0.0015]]),
+    ("MATLAB", "road", "", [[0, 0, 0], [0.5, 0.012, 0.012]]),
+    ("remarks", "road", "", [[0, 0, 0], [0.5, 0.012, 0.012]]),
+    ("spreadsheet", "road", "", [[0, 0.0025, 0.0015], [0.25, 0.003, -0.001]]),
+    ("damper dyno", "curve", "", [[-0.1, -350.5], [0, 0], [0.2505, 900]]),
+    ("damper in tabs", "curve", "", [[-0.127, -350], [0.127, 400]]),
+    ("rig", "rig", "", [[0, 0, 0.002], [0.01, 0.001, 0.002], [0.02, 0.002, 0.002], [0.03, 0.003, 0.002]]),
+]
 
 
-@pytest.mark.parametrize(("caller", "text", "settings", "numbers"), FIELD, ids=[row[1][:20] for row in FIELD])
-def test_files_of_other_tools(caller, text, settings, numbers, tmp_path):
-    """Tables as road generators, maps, surveys, spreadsheets, MATLAB, damper and rig software write them are read to the bit."""
-    np.testing.assert_array_equal(read(caller, text, tmp_path, settings), numbers)
+@pytest.mark.parametrize(("name", "caller", "settings", "numbers"), FIELD)
+def test_files_of_other_tools(name, caller, settings, numbers, tmp_path):
+    """Tables as road generators, maps, surveys, spreadsheets, MATLAB, damper and rig software write them are read bit for bit."""
+    np.testing.assert_array_equal(read(caller, TEXTS[name], tmp_path, settings), numbers)

@@ -62,7 +62,7 @@ class Heading:
         text: text of the heading.
         name: the text without its unit.
         unit: its unit, by its usual name if it is known; empty for none.
-        column: from 1.
+        column: number of the column, from 1.
     """
 
     text: str = ""
@@ -108,7 +108,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
 
     Args:
         units: those whose dimensions a unit without brackets may have.
-        column: from 1.
+        column: number of the column, from 1.
     """
     text = " ".join(text.split())
     if bracket := BRACKETS.search(text):

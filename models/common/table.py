@@ -27,7 +27,7 @@ DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
 
 
 @dataclass(frozen=True)
-class Table:
+class NumberTable:
     """Table of numbers in a text.
 
     Attributes:
@@ -49,7 +49,7 @@ class Table:
 
         Args:
             units: those whose dimensions columns may have.
-            optional: True if a table needs no headings. Comments and words between spaces are then prose, unless all are names.
+            optional: True if a table needs no headings. A comment is then read only if it names quantities alone.
 
         Raises:
             InputError: headings are missing or equal, or there is a number among them.
@@ -58,12 +58,10 @@ class Table:
         above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # by whether the line is a comment
         for line in text.split("\n"):
             comment = COMMENT.match(line)
-            cells, separated = self._heading_cells(line[comment.end() :] if comment else line)
+            cells = self._heading_cells(line[comment.end() :] if comment else line)
             row = [heading_of(cell, units, i) for i, cell in enumerate(cells, 1)]
-            sure = (separated and not comment) or all(heading.quantity for heading in row)
-            if not any(heading.name for heading in row):  # units alone, and not "in metres"
-                sure = sure or bool(above[bool(comment)]) or cells[:1] != ["in"]
-            if row and (sure or not optional):
+            prose = comment and optional and not above[True] and not all(heading.quantity for heading in row)
+            if row and not prose:
                 above[bool(comment)].append(row)
         rows = above[False] or above[True]
         if not rows and optional:
@@ -85,15 +83,15 @@ class Table:
                 raise InputError(f"two columns are called {quoted(heading.name)}; omit one of them")
         return headings
 
-    def _heading_cells(self, line: str) -> tuple[list[str], bool]:
-        """Returns the cells of a line above the numbers, or none if they are not so many, and whether it has their separator."""
+    def _heading_cells(self, line: str) -> list[str]:
+        """Returns the cells of a line above the numbers; none if they are not so many. It may have another separator."""
         if self.count == 1 and line.strip():
-            return [line.strip("\"'; ")], True
+            return [line.strip("\"'; ")]
         for mark in dict.fromkeys((self.separator.strip(" ") or ";", *SEPARATORS.values())):
             for cells in (SPACED.findall(line), re.split(r"\s{2,}", line.strip())) if mark == " " else (_cells(line, mark),):
                 if mark in line and len(_trimmed(cells)) <= self.count <= len(cells):
-                    return [cell.strip("\"' ") for cell in cells[: self.count]], mark == self.separator != " "
-        return [], False
+                    return [cell.strip("\"' ") for cell in cells[: self.count]]
+        return []
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yields the cells of every line of numbers, and its number from 1."""
@@ -105,7 +103,7 @@ class Table:
         """Returns the finite numbers of columns, shape (rows, columns), and the line of every row, from 1.
 
         Args:
-            columns: from 0; all if empty. Other columns, and what follows the last one, may be text.
+            columns: numbers of columns, from 0; all if empty. Other columns, and what follows the last one, may be text.
             ragged: True if numbers may follow the last column.
 
         Raises:
@@ -151,13 +149,13 @@ class Table:
         return {heading.quantity: column for heading, column in zip(headings, numbers.T, strict=True)}
 
 
-def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Table:
+def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
     """Finds the table in a text: it begins with the first line that has a number in a column.
 
     Args:
         give: what a file must have, for messages.
         separator: one of `SEPARATORS`; empty to find it out from that line.
-        column: that column, from 0.
+        column: number of that column, from 0.
 
     Raises:
         InputError: no line has one.
@@ -172,7 +170,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Ta
         whole = [mark for mark in marks if None not in map(_number, splits[mark])]
         cells = splits[mark := (whole or marks)[0]]
         if column < len(cells) and _number(cells[column]) is not None:
-            return Table(lines, first, mark, len(cells), give)
+            return NumberTable(lines, first, mark, len(cells), give)
     raise InputError(f"{'no line of numbers' if text.strip() else 'it is empty'}; {give}")
 
 

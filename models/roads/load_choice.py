@@ -87,14 +87,14 @@ def read_history(path: Path) -> History:
     """Reads a load from its file.
 
     Raises:
-        InputError: the file cannot be read, or is no load file; the message names the line.
+        InputError: the file cannot be read, or is not a load file; the message has the line.
     """
     with reading(path, "load file", GIVE):
         return _history(path.read_text(encoding="utf-8-sig"), named(path))
 
 
 def named(path: Path | str) -> str:
-    """Returns a file's name as a description has it, without `;` and ` + `, which separate parts there."""
+    """Returns a file's name for a description, without `;` and ` + `, which separate parts there."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
 
@@ -122,7 +122,7 @@ def _history(text: str, source: str) -> History:
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
         raise InputError(
-            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; begin at 0 s, or with 0"
+            f"begins at {time[0]:g} s with a {acting[0]} that is not 0, so that it is unknown before; begin at 0 s, or with 0"
         )
     return History(source, time, values)
 
@@ -134,7 +134,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         folder: base of relative file names.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, a file that is no load.
+        InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
     """
     if is_load_file(text):
         return read_history(folder / text.strip())
@@ -153,7 +153,7 @@ def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
     """Returns loads from their texts in a log; reads no file.
 
     Raises:
-        InputError: a text is no load's.
+        InputError: a text is not a load.
     """
     loads = []
     for text in texts:
@@ -163,10 +163,10 @@ def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
 
 
 def choose_described(text: str) -> Load:
-    """Returns a load from a text that is no file's name.
+    """Returns a load from a text that is not the name of a file.
 
     Raises:
-        InputError: the text is no load's.
+        InputError: the text is not a load.
     """
     if text.partition(":")[0] not in LOADS:
         raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")

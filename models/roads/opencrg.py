@@ -48,7 +48,7 @@ class Surface:
         """Returns the profile under the wheels of a vehicle in the middle, straight between the grid's lines, as in OpenCRG.
 
         Args:
-            track_width: from the right wheels to the left ones [m].
+            track_width: distance from the right wheels to the left ones [m].
             speed: [m/s].
 
         Raises:

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.quantities import Heading, check_unit_options
-from models.common.table import SEPARATORS, Table, find_table
+from models.common.table import SEPARATORS, NumberTable, find_table
 from models.roads.profile import Profile, check_points
 
 READ = ("distance", "height", "left", "right")
@@ -28,8 +28,8 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
 
     Args:
         speed: [m/s].
-        settings: by name. `distance_unit` and `height_unit` are for headings without a unit, by default m. `separator` is one of
-            `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1.
+        settings: values by name. `distance_unit` and `height_unit` are for headings without a unit, by default m. `separator` is
+            one of `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1.
 
     Raises:
         InputError: a setting is wrong, the file cannot be read, or its numbers do not make a road. The message has file and line.
@@ -69,7 +69,7 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     return Profile(distance, heights, speed, source)
 
 
-def choose_columns(table: Table, headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
+def choose_columns(table: NumberTable, headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
     """Returns the columns of distance and height, or distance, left and right, from 0: by their headings, else by their order.
 
     Args:
@@ -101,7 +101,7 @@ def choose_columns(table: Table, headings: Sequence[Heading], wanted: Sequence[i
     return used
 
 
-def _check_commas(table: Table) -> None:
+def _check_commas(table: NumberTable) -> None:
     """Refuses rows such as 0,0,01 without headings: two heights, or one with a decimal comma."""
     number, row = next(table.rows())
     if not any("." in cell for _, cells in table.rows() for cell in cells[1:]):

@@ -7,7 +7,6 @@ format: blocks in brackets, tables under a row of names in braces, comments from
 `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
 """
 
-import itertools
 import json
 import re
 from collections.abc import Mapping
@@ -21,7 +20,8 @@ from models.common.table import find_table
 from models.common.units import unit_size
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
-BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
+BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
+HEAD = re.compile(r"\{(.*?)\}")
 
 
 def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
@@ -100,7 +100,7 @@ def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table:
 
 
 def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, Any], str, Path]:
-    """Returns the table of a file, as TOML has it; a comment with its source; and the file.
+    """Returns the table of a file, a comment with its source, and the file.
 
     Args:
         over: "velocity" or "deflection", which the file must have; empty for any.
@@ -128,40 +128,36 @@ def _of_csv(text: str) -> dict[str, list[float]]:
 
 def _of_dpr(text: str) -> dict[str, list[float]]:
     """Returns the table of a damper property file, in SI units."""
-    blocks: dict[str, list[str]] = {}
-    inside: list[str] = []
-    for line in text.splitlines():
-        line = re.split(r"[$!]", line, maxsplit=1)[0].strip()
-        if block := BLOCK.match(line):
-            inside = blocks.setdefault(block[1].upper(), [])
-        elif line:
-            inside.append(line)
+    text = re.sub(r"[$!].*", "", text)
+    before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}  # lines before a block
+    blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
-    length, force, time = (_unit(blocks["UNITS"], key, si) for key, si in (("LENGTH", "m"), ("FORCE", "N"), ("TIME", "s")))
-    heads = [line for line in blocks["CURVE"] if line.startswith("{")]
+    units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
+    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units are in a table, too
+        units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
+    length, force, time = (
+        _size(units, key, name) for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time"))
+    )
+    heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
-    names = re.sub(r"<[^>]*>", "", heads[0].strip("{} ")).lower().split()
+    names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
-    rows = [line for line in blocks["CURVE"] if not line.startswith("{")]
-    numbers, _ = find_table("\n".join(rows), "give two numbers, velocity and force").numbers((0, 1))
+    rows = "\n" * before["CURVE"] + HEAD.sub("", blocks["CURVE"])
+    numbers, _ = find_table(rows, "give two numbers, velocity and force").numbers((0, 1))
     v, forces = (numbers * [length / time, force]).T.tolist()
     return {"velocity": v, "force": forces}
 
 
-def _unit(lines: list[str], key: str, si: str) -> float:
-    """Returns the size of a unit in `[UNITS]`, given as `KEY = 'unit'`, or as a table below `{KEY ...}`."""
-    units = {name.strip().upper(): value.strip(" '\"") for name, _, value in (line.partition("=") for line in lines) if value}
-    for head, row in itertools.pairwise(lines):
-        if head.startswith("{"):
-            units = dict(zip(head.strip("{} ").upper().split(), row.replace("'", " ").split(), strict=False)) | units
-    allowed = next(listing(one.units) for one in QUANTITIES.values() if si in one.units)
+def _size(units: Mapping[str, str], key: str, name: str) -> float:
+    """Returns the size of a unit of `[UNITS]` in SI, of the dimension of a quantity."""
+    allowed = listing(QUANTITIES[name].units)
     if key not in units:
         raise InputError(f"[UNITS] has no {key}; give one of {allowed}")
-    size = unit_size(units[key], si)
+    size = unit_size(units[key], QUANTITIES[name].si)
     if size is None:
         raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {allowed}")
     return size
