@@ -123,15 +123,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
 
 
 def check_unit_options(settings: Mapping[str, str], options: Mapping[str, str]) -> None:
-    """Checks the settings that give units.
-
-    Args:
-        settings: value by name.
-        options: quantity of each setting that is a unit.
-
-    Raises:
-        InputError: a unit is not one of the quantity.
-    """
+    """Raises an InputError for a setting that is not a unit of its quantity; `options` has the quantities by setting."""
     for name, quantity in options.items():
         if name in settings and settings[name] not in (units := QUANTITIES[quantity].units):
             raise InputError(f"{name} = {settings[name]!r} is unknown; give one of {listing(units)}")

@@ -122,7 +122,7 @@ def _history(text: str, source: str) -> History:
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
         raise InputError(
-            f"begins at {time[0]:g} s with a {acting[0]} that is not 0, so that it is unknown before; begin at 0 s, or with 0"
+            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and is unknown before; begin at 0 s, or with 0"
         )
     return History(source, time, values)
 

@@ -95,17 +95,14 @@ def read_surface(path: Path) -> Surface:
 
 
 def _check_whole(header: str, u: Array, width: int, channels: int, last: int) -> None:
-    """Refuses a file that was cut, which PyOpenCRG may read as a shorter, stretched or coarser road.
+    """Raises an InputError for a file that was cut, which PyOpenCRG may read as a shorter or a stretched road.
 
     Args:
-        header: text with the entries and the channels that are not data, such as `reference line u,m,0,0.1`.
+        header: text with the entries, and the channels that are not data.
         u: distance of each cross-section [m].
         width: characters of a number; 0 in binary files.
         channels: number of numbers in a cross-section.
         last: characters of the last line.
-
-    Raises:
-        InputError: the last line is too short, or the header promises more cross-sections.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
         raise InputError(f"its last line has {last} characters, and {expected} are due: it was cut; give the whole file")

@@ -15,7 +15,6 @@ from models.roads.profile import Profile, check_points
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
 UNITS = {"distance_unit": "distance", "height_unit": "height"}
-SETTINGS = (*UNITS, "separator", "columns")
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}")
 SAY = "give the columns, as in :columns=1,3 or :columns=1,3,4, or correct the headings, or begin other lines with #"
 A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"

@@ -6,6 +6,8 @@ MTS's binary RPC III is not read: the public reader, rpc-reader 0.9 of 2022, rea
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from models.common.errors import InputError
 from models.common.files import reading
 from models.common.quantities import check_unit_options
@@ -27,24 +29,16 @@ def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
     """
     check_unit_options(settings, UNITS)
     with reading(path, "drive file", FORMAT):
-        return _rig(path.read_text(encoding="utf-8-sig"), settings, str(path))
-
-
-def _rig(text: str, settings: Mapping[str, str], source: str) -> Rig:
-    table = find_table(text, FORMAT)
-    headings = table.headings(("s", "m"))
-    clocks = [heading for heading in headings if heading.quantity == "time"]
-    if len(clocks) != 1:
-        raise InputError(f"{len(clocks)} columns are called time, and one must be; {FORMAT}")
-    posts = [heading for heading in headings if heading is not clocks[0]]
-    check_posts([heading.name for heading in posts])
-    options = [("time", "time_unit"), *[("height", "height_unit")] * len(posts)]
-    scales = [
-        heading.scale(quantity, option, settings.get(option, ""))
-        for heading, (quantity, option) in zip((*clocks, *posts), options, strict=True)
-    ]
-    numbers, lines = table.numbers([heading.column - 1 for heading in (*clocks, *posts)])
-    numbers = numbers * scales
-    time, heights = numbers[:, 0], numbers[:, 1:]
-    check_history(time, heights, lambda i: f"line {lines[i]}")
-    return Rig(time, heights, tuple(post.name for post in posts), source)
+        table = find_table(path.read_text(encoding="utf-8-sig"), FORMAT)
+        headings = table.headings(("s", "m"))
+        clocks = [heading for heading in headings if heading.quantity == "time"]
+        if len(clocks) != 1:
+            raise InputError(f"{len(clocks)} columns are called time, and one must be; {FORMAT}")
+        posts = [heading for heading in headings if heading is not clocks[0]]
+        check_posts([post.name for post in posts])
+        scales = [clocks[0].scale("time", "time_unit", settings.get("time_unit", ""))]
+        scales += [post.scale("height", "height_unit", settings.get("height_unit", "")) for post in posts]
+        numbers, lines = table.numbers([heading.column - 1 for heading in (*clocks, *posts)])
+        time, *heights = (numbers * scales).T
+        check_history(time, np.stack(heights, axis=-1), lambda i: f"line {lines[i]}")
+        return Rig(time, np.stack(heights, axis=-1), tuple(post.name for post in posts), str(path))
