@@ -193,7 +193,8 @@ def _cells(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
 
 
-def _trimmed(cells: Sequence[str]) -> list[str]:
+def _trimmed(cells: list[str]) -> list[str]:
     """Returns cells without empty ones at the end, which spreadsheets leave."""
-    count = max((i for i, cell in enumerate(cells, 1) if cell), default=0)
-    return list(cells[:count])
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells

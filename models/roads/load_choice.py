@@ -111,12 +111,13 @@ def _history(text: str, source: str) -> History:
     values = table.quantities(("time", *NAMES))
     if "time" not in values or len(values) < 2:
         raise InputError(f"its columns are {listing(values)}; {GIVE}")
-    time, lines = values.pop("time"), [line for line, _ in table.rows()]
+    lines = [line for line, _ in table.rows()]
     if not 2 <= len(lines) <= MOST_ROWS:
         raise InputError(f"has {len(lines)} rows of numbers; give 2 to {MOST_ROWS}")
     for name, column in values.items():
         for i in np.flatnonzero(np.abs(column) > LARGEST)[:1].tolist():
             raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, beyond {LARGEST:g} in SI units; correct it")
+    time = values.pop("time")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
         raise InputError(f"line {lines[i + 1]}: its time, {time[i + 1]:g} s, is not after the one before; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
