@@ -411,16 +411,6 @@ def test_posts_start_at_rest_where_they_are():
 CORNERS_OF_POSTS = tuple(end[1:] for end in CORNERS["full_car"])
 
 
-def test_rows_that_are_empty(tmp_path):
-    """Rows of separators alone, which spreadsheets leave at the end, are no points."""
-    for mark in ",;\t":
-        text = "\n".join(mark.join(row) for row in (("0", "0", ""), ("1", "1", ""), ("2", "0", ""), ("3", "1", ""), ("", "", "")))
-        (tmp_path / "road.csv").write_text(f"{text}\n{mark}\n{mark * 5}\n")
-        profile = choose_road("road.csv", tmp_path).profile
-        assert profile is not None
-        assert profile.distance.tolist() == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize(
     ("name", "said"),
     [

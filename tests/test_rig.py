@@ -2,7 +2,6 @@
 
 import json
 import math
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import roughness_of
 from models.roads.profile import Profile
-from models.roads.rig import Rig, rig_from_csv
+from models.roads.rig import Rig
 from models.roads.road import track_width, under_wheels
 from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main as campaign
@@ -101,13 +100,12 @@ def test_physics_agrees(name):
 @pytest.mark.parametrize(
     ("text", "settings"),
     [
-        ("time [s],front [mm],rear [mm]\n0,0,1\n.1,2,3\n.2,4,5\n.3,6,8\n", ""),
         ("# from the rig\n\nREAR (cm); Time (ms); Front (m)\n0,1;0;0\n0,3;1e2;0,002\n# pause\n0,5;2e2;0,004\n0,8;300;,006\n", ""),
         ("time\tfront\trear\n0\t0\t1\n100\t2\t3\n200\t4\t5\n300\t6\t8\n", ":time_unit=ms:height_unit=mm"),
         ("time [s]  rear [mm]  other [kN]  front [mm]\n0 1 9 0\n0.1 3 9 2\n.2 5 9 4\n.3 8 9 6\n".replace(" [kN]", " [m]"), ""),
         ("\ufefft [sec], road_displacement_rear [mm], road_front [mm]\r\n0,1,0\r\n0.1,3,2\r\n0.2,5,4\r\n0.3,8,6\r\n", ""),
     ],
-    ids=["plain", "other units and decimals", "units asked for", "more columns", "names of signals and bodies"],
+    ids=["other units and decimals", "units asked for", "more columns", "names of signals and bodies"],
 )
 def test_files(text, settings, tmp_path):
     """Columns are found by their names, in the units that are written above them or asked for."""
@@ -201,13 +199,13 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
         (GOOD.replace("front [mm]", "front"), "column 2, 'front', has no unit; allowed: cm, ft, in, km, m, mm; write front [m]"),
         (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit; allowed: ms, s; write time [s]"),
         (GOOD.replace("rear [mm]", "rear [kN]"), "column 3, 'rear [kN]', is in 'kN'; allowed: cm, ft, in, km, m, mm; convert it"),
-        (GOOD.replace("time [s]", "time [h]"), "column 1, 'time [h]', is in 'h'; allowed: ms, s"),
+        (GOOD.replace("time [s]", "time [kg]"), "column 1, 'time [kg]', is in 'kg'; allowed: ms, s"),
         (GOOD.replace("time", "distance"), "0 columns are called time, and one must be"),
-        (GOOD.replace("front", "t"), "2 columns are called time"),
+        (GOOD.replace("front", "t"), "two columns are called 'time'"),
         ("time [s]\n0\n1\n2\n3\n", "0 columns of heights"),
         (GOOD.replace("2,2,2", "2,2"), "line 4 has 2 column(s), and line 2 has 3"),
-        (GOOD.replace("2,2,2", "2,two,2"), "line 4, column 2: 'two' is no finite number"),
-        (GOOD.replace("2,2,2", "2,nan,2"), "line 4, column 2: 'nan' is no finite number"),
+        (GOOD.replace("2,2,2", "2,two,2"), "line 4, column 2: 'two' is not a finite number"),
+        (GOOD.replace("2,2,2", "2,nan,2"), "line 4, column 2: 'nan' is not a finite number"),
         (GOOD.replace("2,2,2", "1,2,2"), "time 1 s is repeated (line 3 and line 4); keep one of the two points"),
         (GOOD.replace("3,3,3", "30,3,3"), "there is a gap from 2 s to 30 s (line 4 and line 5)"),
         (GOOD.replace("3,3,3", "3,3,3000"), "line 5 lies 3 m from where its post begins; 2 m are allowed"),
@@ -234,7 +232,7 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "none.crg"], "road file none.crg: there is no such file"),
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),
-        (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was asked for"),
+        (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was given"),
         (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a rig, on which"),
         (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed chooses a random road"),
         (["--road", "DRIVE"], "heights over time are of a rig's posts: give rig:file=..."),
@@ -256,48 +254,3 @@ def test_a_wheel_without_a_post():
     assert track_width(CAR) > 0
     still = replace(history(), heights=np.zeros((200, 4)))
     still.check(CAR, sample_times(CAR, 1.0, 1e-3))
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(4))
-def test_damaged_files(seed, tmp_path):
-    """A drive file or the points of a log that were damaged make a rig that moves finitely, or one line that says why not."""
-    rng, path = random.Random(seed), tmp_path / "drive.csv"
-    written(history(CORNERS[:2], end=0.2), path)
-    bits = (
-        b"nan",
-        b"inf",
-        b"1e400",
-        b",",
-        b";",
-        b"\n",
-        b"\0",
-        b"\xff",
-        b"[",
-        b"]",
-        b"time",
-        b"-",
-        b"\r",
-        b"#",
-        b'"',
-        b" ",
-        b"9" * 400,
-    )
-    found, said = 0, list[str]()
-    for good, points in ((path.read_bytes(), False), (history(CORNERS[:2], end=0.2).points, True)) * 500:
-        data = bytearray(good)
-        for _ in range(rng.randint(1, 3)):
-            at = rng.randrange(len(data))
-            data[at : at + rng.choice((0, 1, 20))] = rng.choice((b"", b"", rng.choice(bits), bytes([rng.randrange(256)])))
-        path.write_bytes(data)
-        try:
-            rig = rig_from_csv(bytes(data), "") if points else choose_road(f"rig:file={path}").rig
-        except InputError as error:
-            said.append(str(error))
-            continue
-        assert rig is not None
-        assert np.isfinite(rig.displacement(np.linspace(-1, 3, 9), rig.posts[0])).all()
-        assert rig_from_csv(rig.points, "").points == rig.points
-        found += 1
-    assert not any("\n" in one for one in said)
-    assert 10 < found < 990  # neither all nor none: something was tried

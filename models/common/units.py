@@ -73,6 +73,12 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
+def unit_size(unit: str, si: str) -> float | None:
+    """Returns the size of a unit in an SI unit; None if it is unknown or has another dimension."""
+    size, wanted = _size(unit), _size(si)
+    return float(size[0] / wanted[0]) if size and wanted and size[1] == wanted[1] else None
+
+
 def in_unit(value: Any, unit: str, what: str) -> Any:
     """Returns the number of a text with a number and a unit, as `quantity` does; another text or value as it is.
 

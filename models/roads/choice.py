@@ -127,17 +127,16 @@ def _choose(text: str, folder: Path) -> RoadChoice:
             raise InputError(f"road {text!r}: an OpenCRG file says its own units and joins its own points; {error}") from error
         return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:
-        from models.roads.profile_file import read_profile, table_format
+        from models.roads.profile_file import read_profile
 
         try:
             given = settings(file["settings"], (*TABLE, *DRIVEN))
-            table = table_format({name: value for name, value in given.items() if name in TABLE})
             join = given.get("join", JOINS[0])
             if join not in JOINS:
                 raise InputError(f"join = {join!r} is unknown; give one of {listing(JOINS)}")
         except InputError as error:
             raise InputError(f"road {text!r}: {error}") from error
-        profile = replace(read_profile(folder / file["path"], 20.0, table), join=join)
+        profile = replace(read_profile(folder / file["path"], 20.0, given), join=join)
         return RoadChoice(text, "profile", {}, _begun(text, given, profile))
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
@@ -189,15 +188,13 @@ def _rig(text: str, folder: Path) -> RoadChoice:
         raise InputError(
             f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}"
         )
-    from models.roads.rig_file import SETTINGS, read_rig
+    from models.roads.rig_file import UNITS, read_rig
 
     try:
-        given = settings(file["settings"], SETTINGS)
-        rig = read_rig(folder / file["path"], given)
+        given = settings(file["settings"], UNITS)
     except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith("drive file") else f"road {text!r}: {said}") from error
-    return RoadChoice(text, "rig", {}, rig=rig)
+        raise InputError(f"road {text!r}: {error}") from error
+    return RoadChoice(text, "rig", {}, rig=read_rig(folder / file["path"], given))
 
 
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:

@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.files import read_text
+from models.common.files import reading
 from models.common.printed import settings
 from models.common.table import find_table
-from models.common.units import FORCE, MOMENT, TIME, quantity
+from models.common.units import quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.roads.load import UNITS as SETTING_UNITS
@@ -20,7 +20,6 @@ from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
-UNITS = {"time": TIME, "heave": FORCE, "pitch": MOMENT, "roll": MOMENT}
 MOST_ROWS = 20_000
 LARGEST = 1e9  # N, N m, s
 GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch [N m], roll [N m]"
@@ -88,13 +87,14 @@ def read_history(path: Path) -> History:
     """Reads a load from its file.
 
     Raises:
-        InputError: the file cannot be read, or is no load file; the message names the line.
+        InputError: the file cannot be read, or is not a load file; the message has the line.
     """
-    return parse_history(read_text(path, "load file", GIVE), named(path))
+    with reading(path, "load file", GIVE):
+        return _history(path.read_text(encoding="utf-8-sig"), named(path))
 
 
 def named(path: Path | str) -> str:
-    """Returns a file's name as a description has it, without `;` and ` + `, which separate parts there."""
+    """Returns a file's name for a description, without `;` and ` + `, which separate parts there."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
 
@@ -108,24 +108,22 @@ def parse_history(text: str, source: str) -> History:
 
 def _history(text: str, source: str) -> History:
     table = find_table(text, GIVE)
-    headings = table.headings(TIME | FORCE | MOMENT)
-    names = table.names(headings, UNITS)
-    if "time" not in names or len(names) < 2:
-        raise InputError(f"its columns are {listing(names)}; {GIVE}")
-    numbers, lines = table.numbers()
+    values = table.quantities(("time", *NAMES))
+    if "time" not in values or len(values) < 2:
+        raise InputError(f"its columns are {listing(values)}; {GIVE}")
+    lines = [line for line, _ in table.rows()]
     if not 2 <= len(lines) <= MOST_ROWS:
         raise InputError(f"has {len(lines)} rows of numbers; give 2 to {MOST_ROWS}")
-    numbers = numbers * [heading.scale(UNITS[name]) for heading, name in zip(headings, names, strict=True)]
-    for row, column in np.argwhere(np.abs(numbers) > LARGEST)[:1].tolist():
-        raise InputError(f"line {lines[row]}, column {column + 1}: {numbers[row, column]:g} is beyond {LARGEST:g}, in SI units")
-    values = dict(zip(names, numbers.T, strict=True))
+    for name, column in values.items():
+        for i in np.flatnonzero(np.abs(column) > LARGEST)[:1].tolist():
+            raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, beyond {LARGEST:g} in SI units; correct it")
     time = values.pop("time")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
         raise InputError(f"line {lines[i + 1]}: its time, {time[i + 1]:g} s, is not after the one before; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
         raise InputError(
-            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; begin at 0 s, or with 0"
+            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and is unknown before; begin at 0 s, or with 0"
         )
     return History(source, time, values)
 
@@ -137,7 +135,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         folder: base of relative file names.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, a file that is no load.
+        InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
     """
     if is_load_file(text):
         return read_history(folder / text.strip())
@@ -156,7 +154,7 @@ def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
     """Returns loads from their texts in a log; reads no file.
 
     Raises:
-        InputError: a text is no load's.
+        InputError: a text is not a load.
     """
     loads = []
     for text in texts:
@@ -166,10 +164,10 @@ def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
 
 
 def choose_described(text: str) -> Load:
-    """Returns a load from a text that is no file's name.
+    """Returns a load from a text that is not the name of a file.
 
     Raises:
-        InputError: the text is no load's.
+        InputError: the text is not a load.
     """
     if text.partition(":")[0] not in LOADS:
         raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")

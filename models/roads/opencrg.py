@@ -1,10 +1,7 @@
 """Road surfaces of ASAM OpenCRG, a grid of heights along and across a road, by PyOpenCRG."""
 
-import math
-import os
 import re
 import warnings
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,13 +12,10 @@ from models.common.errors import InputError, first_few
 from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
-AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
+AT_ONCE = 2**20  # heights that are computed together; PyOpenCRG takes some hundred bytes for each
 TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters of a number, by format
 LINE = 80  # characters of a line of numbers
-FINEST, COARSEST = 1e-6, 1e3  # m between the lines of a grid
-FURTHEST = 1e9  # m, and any other number of a header
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?|[-+]?inf", re.IGNORECASE)  # 2.000+e00 is read as 2: such files exist
-ENTRY = re.compile(r"\s*(\w+)\s*=\s*([^\s!]+)")
+NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 GIVE = "give an OpenCRG file"
 
 
@@ -54,7 +48,7 @@ class Surface:
         """Returns the profile under the wheels of a vehicle in the middle, straight between the grid's lines, as in OpenCRG.
 
         Args:
-            track_width: from the right wheels to the left ones [m].
+            track_width: distance from the right wheels to the left ones [m].
             speed: [m/s].
 
         Raises:
@@ -74,104 +68,48 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """Reads the surface of an OpenCRG file.
+    """Reads the surface of an OpenCRG file. Its data may be in another file, which it names.
 
     Raises:
-        InputError: PyOpenCRG is not installed, or the file is no OpenCRG file, too large, or refers to another one.
+        InputError: PyOpenCRG is not installed, or the file is not an OpenCRG file, or was cut.
     """
-    with reading(path, "road file", GIVE), path.open("rb"):
-        pass
-    try:
-        from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
-    except ImportError as error:
-        raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what its checks find and a profile does not need
-            head = io.read_ipl(path, meta_only=True)
-            numbers = _check_header(head.struct, [*head.kd_ind, *head.kd_def])
-            _check_end(path, head.fmt, len(head.kd_def))
-            road = CrgRoad.read(path)
+    with reading(path, "road file", GIVE):
+        path.open("rb").close()
+        try:
+            from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
+        except ImportError as error:
+            raise InputError("needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # most findings do not matter for a profile
+                head, road = io.read_ipl(path, meta_only=True), CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
-            z = np.empty((len(u), len(v)))
-            _check_whole(numbers, head.kd_ind, u)
-            rows = max(1, AT_ONCE // len(v))
-            for i in range(0, len(u), rows):
-                z[i : i + rows] = road.uv_to_z(u[i : i + rows, None], v[None, :])
-    except InputError as error:
-        raise InputError(f"road file {path}: {error}") from error
-    except OSError as error:
-        raise InputError(f"road file {path}: cannot be read ({error.strerror or error})") from error
-    except Exception as error:  # a reader of somebody else's: whatever it says, the file is none
-        raise InputError(f"road file {path}: no OpenCRG file ({_reason(error, path)}); {GIVE}") from error
-    return Surface(u, v, z, str(path))
+            rows = range(0, len(u), max(1, AT_ONCE // len(v)))
+            z = np.concatenate([road.uv_to_z(u[i : i + rows.step, None], v[None, :]) for i in rows])
+        except Exception as error:
+            raise InputError(f"not an OpenCRG file ({_reason(error, path)}); {GIVE}") from error
+        if not any("ROAD_CRG_FILE" in line for line in head.struct):
+            last = path.read_bytes().rstrip(b"\r\n").rpartition(b"\n")[2]
+            _check_whole("\n".join([*head.struct, *head.kd_ind]), u, TEXT_WIDTHS.get(head.fmt, 0), len(head.kd_def), len(last))
+        return Surface(u, v, z, str(path))
 
 
-def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, float]:
-    """Checks that a header's numbers can be a road's; PyOpenCRG would accept others, or replace them.
-
-    Returns:
-        The numbers of the road, by keyword.
-    """
-    block, numbers = "", {}
-    for line in struct:
-        if line.startswith("$"):
-            block = line.strip("$ ").split("!")[0].strip().upper()
-        if block == "ROAD_CRG_FILE":
-            raise InputError("its data are in another file, that it names; give that one")
-        entry = ENTRY.match(line) if block == "ROAD_CRG" else None
-        if entry is None:
-            continue
-        name, text = entry[1].lower(), entry[2]
-        value = _number(text)
-        if name.endswith("_increment") and not FINEST <= value <= COARSEST:
-            raise InputError(f"{name} = {text} is not allowed; from {FINEST:g} to {COARSEST:g} m are")
-        if not abs(value) <= FURTHEST:
-            raise InputError(f"{name} = {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
-        numbers[name] = value
-    for channel in channels:
-        for text in re.split(r"[,=\s]+", channel):
-            value = _number(text, 0.0)
-            if not abs(value) <= FURTHEST:
-                raise InputError(f"channel {channel!r}: {text} is not allowed; numbers from {-FURTHEST:g} to {FURTHEST:g} are")
-    return numbers
-
-
-def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array) -> None:
-    """Checks the number of cross-sections against the header; text that is cut between two of them looks whole.
+def _check_whole(header: str, u: Array, width: int, channels: int, last: int) -> None:
+    """Raises an InputError for a file that was cut, which PyOpenCRG may read as a shorter or a stretched road.
 
     Args:
-        defined: channels that are not data; one may be the distance: reference line u, m, start, increment.
+        header: text with the entries, and the channels that are not data.
         u: distance of each cross-section [m].
+        width: characters of a number; 0 in binary files.
+        channels: number of numbers in a cross-section.
+        last: characters of the last line.
     """
-    given = [channel.split(",") for channel in defined if channel.lower().startswith("reference line u,")]
-    step = numbers.get("reference_line_increment") or next((_number(parts[3], 0.0) for parts in given if len(parts) > 3), 0.0)
-    if not step or "reference_line_end_u" not in numbers:
-        return  # then nothing says how many there were
-    promised = round((numbers["reference_line_end_u"] - u[0]) / step) + 1
-    if len(u) < promised:
-        raise InputError(
-            f"has {len(u)} cross-sections, and its header promises {promised}, up to {numbers['reference_line_end_u']:g} m in "
-            f"steps of {step:g} m: it was cut; give the whole file"
-        )
-
-
-def _check_end(path: Path, form: str, channels: int) -> None:
-    """Checks that text ends with a whole line; if numbers of fixed width are cut off, it may look whole."""
-    if form not in TEXT_WIDTHS:
-        return
-    width = TEXT_WIDTHS[form]
-    with path.open("rb") as file:
-        file.seek(-min(os.fstat(file.fileno()).st_size, 4 * LINE), os.SEEK_END)
-        last = file.read().rstrip(b"\r\n").rpartition(b"\n")[2]
-    expected = ((channels - 1) % (LINE // width) + 1) * width
-    if len(last) < expected:
-        raise InputError(f"its last line has {len(last)} characters, and {expected} are due: it was cut; give the whole file")
-
-
-def _number(text: str, otherwise: float = math.nan) -> float:
-    match = NUMBER.match(text)
-    return float(match[0].lower().replace("d", "e")) if match else otherwise
+    if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
+        raise InputError(f"its last line has {last} characters, and {expected} are due: it was cut; give the whole file")
+    end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
+    step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
+    if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):
+        raise InputError(f"has {len(u)} cross-sections, and its header promises {promised}: it was cut; give the whole file")
 
 
 def _reason(error: Exception, path: Path) -> str:

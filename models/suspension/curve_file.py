@@ -7,7 +7,6 @@ format: blocks in brackets, tables under a row of names in braces, comments from
 `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
 """
 
-import itertools
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,13 +14,14 @@ from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, reading
+from models.common.quantities import QUANTITIES
 from models.common.table import find_table
 from models.common.toml_edit import Replacement
-from models.common.units import FORCE, LENGTH, TIME, VELOCITY, unit_named
+from models.common.units import unit_size
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
-UNITS: Mapping[str, Mapping[str, float]] = {"velocity": VELOCITY, "deflection": LENGTH, "force": FORCE}
-BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
+BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
+HEAD = re.compile(r"\{(.*?)\}")
 
 
 def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
@@ -59,7 +59,7 @@ def _argument(path: tuple[str, ...]) -> str:
 
 
 def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, Any], str, Path]:
-    """Returns the table of a file, as TOML has it; a comment with its source; and the file.
+    """Returns the table of a file, a comment with its source, and the file.
 
     Args:
         over: "velocity" or "deflection", which the file must have; empty for any.
@@ -82,55 +82,44 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
 def _of_csv(text: str) -> dict[str, list[float]]:
     """Returns columns by their headings, in SI units."""
     table = find_table(text, GIVE)
-    headings = table.headings(VELOCITY | LENGTH | FORCE)
-    names = table.names(headings, UNITS)
-    if len(names) != 2 or "force" not in names:
-        raise InputError(f"has the columns {', '.join(names)}; give two, force and either velocity or deflection")
-    scales = [heading.scale(UNITS[name]) for heading, name in zip(headings, names, strict=True)]
-    return dict(zip(names, (table.numbers()[0] * scales).T.tolist(), strict=True))
+    columns = table.quantities(("velocity", "deflection", "force"))
+    if len(columns) != 2 or "force" not in columns:
+        raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
+    return {name: column.tolist() for name, column in columns.items()}
 
 
 def _of_dpr(text: str) -> dict[str, list[float]]:
     """Returns the table of a damper property file, in SI units."""
-    blocks: dict[str, list[str]] = {}
-    lines = [re.split(r"[$!]", line, maxsplit=1)[0].strip() for line in text.replace("\r", "\n").split("\n")]
-    inside: list[str] = []
-    for i, line in enumerate(lines):
-        if block := BLOCK.match(line):
-            inside = blocks.setdefault(block[1].upper(), [])
-        elif line:
-            inside.append(line)
-        if inside is not blocks.get("CURVE") or block or line.startswith("{"):
-            lines[i] = ""  # only the numbers remain, a row in each line
+    text = re.sub(r"[$!].*", "", text)
+    before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}  # lines before a block
+    blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
-    units = _units(blocks["UNITS"])
-    length, force, time = (_unit(units, key, known) for key, known in (("LENGTH", LENGTH), ("FORCE", FORCE), ("TIME", TIME)))
-    heads = [line for line in blocks["CURVE"] if line.startswith("{")]
+    units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
+    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units are in a table, too
+        units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
+    length, force, time = (
+        _size(units, key, name) for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time"))
+    )
+    heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
-    names = [re.sub(r"<.*", "", name).lower() for name in heads[0].strip("{} ").split()]
+    names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
-    table = find_table("\n".join(lines), "give two numbers, velocity and force")
-    v, forces = (table.numbers((0, 1))[0] * [length / time, force]).T.tolist()
+    rows = "\n" * before["CURVE"] + HEAD.sub("", blocks["CURVE"])
+    numbers, _ = find_table(rows, "give two numbers, velocity and force").numbers((0, 1))
+    v, forces = (numbers * [length / time, force]).T.tolist()
     return {"velocity": v, "force": forces}
 
 
-def _units(lines: list[str]) -> dict[str, str]:
-    """Returns the units of a block, given as `KEY = 'unit'`, or as a table."""
-    units = {key.strip().upper(): value.strip(" '\"") for key, _, value in (line.partition("=") for line in lines) if value}
-    for head, row in itertools.pairwise(lines):
-        if head.startswith("{"):
-            units = dict(zip(head.strip("{} ").upper().split(), row.replace("'", " ").split(), strict=False)) | units
-            break
-    return units
-
-
-def _unit(units: Mapping[str, str], key: str, known: Mapping[str, float]) -> float:
+def _size(units: Mapping[str, str], key: str, name: str) -> float:
+    """Returns the size of a unit of `[UNITS]` in SI, of the dimension of a quantity."""
+    allowed = listing(QUANTITIES[name].units)
     if key not in units:
-        raise InputError(f"[UNITS] has no {key}; give one of {listing(known)}")
-    if unit_named(units[key]) not in known:
-        raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {listing(known)}")
-    return known[unit_named(units[key])]
+        raise InputError(f"[UNITS] has no {key}; give one of {allowed}")
+    size = unit_size(units[key], QUANTITIES[name].si)
+    if size is None:
+        raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {allowed}")
+    return size

@@ -1,0 +1,129 @@
+"""Columns of tables in users' files: their names, units and signs, in one place.
+
+Road profiles, drive files of rigs, curves of dampers and springs, and loads over time all use this table.
+"""
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from models.common.errors import InputError, listing, quoted
+from models.common.units import FORCE, LENGTH, MOMENT, TIME, VELOCITY, unit_named, unit_size
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Quantity in a column of a table.
+
+    Attributes:
+        units: size of each unit in SI; the first one is the SI unit. Others of its dimension are read, too.
+        positive: meaning of a positive number; empty if there is no choice.
+        words: other names, in small letters.
+    """
+
+    units: Mapping[str, float]
+    positive: str
+    words: str = ""
+
+    @property
+    def si(self) -> str:
+        """The SI unit."""
+        return next(iter(self.units))
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "distance": Quantity(LENGTH, "along the road", "dist x s u station chainage position pos"),
+    "height": Quantity(LENGTH, "up", "heights h z elevation elevations elev altitude profile"),
+    "left": Quantity(LENGTH, "up, under the left wheels", "l lwp"),
+    "right": Quantity(LENGTH, "up, under the right wheels", "r rwp"),
+    "time": Quantity(TIME, "", "t"),
+    "heave": Quantity(FORCE, "up"),
+    "pitch": Quantity(MOMENT, "nose down"),
+    "roll": Quantity(MOMENT, "right side down"),
+    "velocity": Quantity(VELOCITY, "in extension"),
+    "deflection": Quantity(LENGTH, "in extension"),
+    "force": Quantity(FORCE, "against extension"),
+}
+UNREAD = "another quantity"
+_WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and words that say nothing about a quantity
+    UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
+    "": "wheel wheelpath path track road surface ground along the of in side vertical",
+    **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
+}
+NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
+BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Heading of a column.
+
+    Attributes:
+        text: text of the heading.
+        name: the text without its unit.
+        unit: its unit, by its usual name if it is known; empty for none.
+        column: number of the column, from 1.
+    """
+
+    text: str = ""
+    name: str = ""
+    unit: str = ""
+    column: int = 0
+
+    @property
+    def quantity(self) -> str:
+        """One of `QUANTITIES`; empty if the heading names none or several, or has an unknown word."""
+        named = {NAMES.get(word, "unknown") for word in re.findall(r"[a-z]+", self.name.lower())} - {""}
+        if len(named) == 2:
+            named.discard("height")  # "left height"
+        return named.pop() if len(named) == 1 and named != {"unknown"} else ""
+
+    def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
+        """Returns the size of the column's unit in SI.
+
+        Args:
+            quantity: one of `QUANTITIES`.
+            option: name of the setting that gives the unit; empty for none.
+            given: the unit that the setting gives; empty for none.
+            default: the unit of a heading without one; empty if a unit is required.
+
+        Raises:
+            InputError: the unit is missing, or not one of the quantity, or the setting gives another one.
+        """
+        units, si = QUANTITIES[quantity].units, QUANTITIES[quantity].si
+        size = unit_size(self.unit, si)
+        column = f"column {self.column}, {quoted(self.text)}," if self.text else f"column {self.column}"
+        allowed, instead = f"allowed: {listing(units)}", f", or give :{option}={si}" if option else ""
+        if given and size not in (None, units[given]):
+            raise InputError(f"{column} is in {self.unit}, and {option} = {given} was given; omit one of them, or correct it")
+        if not given and self.unit and size is None:
+            raise InputError(f"{column} is in {quoted(self.unit)}; {allowed}; convert it{instead}")
+        if not (given or self.unit or default):
+            raise InputError(f"{column} has no unit; {allowed}; write {self.name} [{si}] above it{instead}")
+        return units[given or default] if given or size is None else size
+
+
+def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
+    """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
+
+    Args:
+        units: those whose dimensions a unit without brackets may have.
+        column: number of the column, from 1.
+    """
+    text = " ".join(text.split())
+    if bracket := BRACKETS.search(text):
+        is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
+        if Heading(name=bracket[1]).quantity and not is_unit:
+            return Heading(text, text, "", column)  # height (left)
+        return Heading(text, text[: bracket.start()], unit_named(bracket[1]), column)
+    for gap in re.finditer(r"^|[\s_/,-]+", text):
+        if any(unit_size(text[gap.end() :], unit) for unit in units):
+            return Heading(text, text[: gap.start()], unit_named(text[gap.end() :]), column)
+    return Heading(text, text, "", column)
+
+
+def check_unit_options(settings: Mapping[str, str], options: Mapping[str, str]) -> None:
+    """Raises an InputError for a setting that is not a unit of its quantity; `options` has the quantities by setting."""
+    for name, quantity in options.items():
+        if name in settings and settings[name] not in (units := QUANTITIES[quantity].units):
+            raise InputError(f"{name} = {settings[name]!r} is unknown; give one of {listing(units)}")
