@@ -21,41 +21,41 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2583   2120      0
+what all commands share: files, options, checks, tables of numbers   2329   1864      0
     models/common/* tests/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
-    tests/test_{printed,progress,roadproof,shell,tables,wrong_calls}.py
-vehicle file, types, equations, MJCF                           4960   1518    307
+    tests/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
+vehicle file, types, equations, MJCF                           4914   1487    308
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
     models/kinds/{__init__,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-implementation,new,vehicles-that-ship,your-own-vehicle}.md
-laws and families in files                                      584    459     13
+laws and families in files                                      242    330     13
     models/vehicle/{in_place,*_file}.py tests/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
-foreign FMU as a controller                                     388    241      0
+foreign FMU as a controller                                     153    184      0
     models/vehicle/*fmu*.py tests/test_foreign_fmu.py
-laws in Python                                                  639    884    142
+laws in Python                                                  598    695    142
     models/laws/{python_law,python_runtime,user_code}.py tests/test_python_laws.py docs/how-to/a-law-in-python.md
     docs/how-to/any-controller.md tests/test_any_controller.py
-custom vehicle types                                            287    506    121
+custom vehicle types                                            190    329    121
     models/kinds/user_kind.py tests/damaged_kinds.py tests/test_own_*.py docs/how-to/your-own-kind.md
-semi-active dampers and laws                                   1612   1131    128
+semi-active dampers and laws                                   1585   1131    128
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/test_{dampers,laws_held,measured_dampers}.py tests/test_semi_active*.py
     docs/how-to/{adjustable-dampers,semi-active-laws}.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1720   1323     25
+curves of dampers and springs, statistical linearisation       1671   1307     26
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/curved.py tests/test_curves*.py
     tests/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/curves.md
-bump stops                                                      413    297      0
+bump stops                                                      403    297      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/test_stops.py
-loads, links, tyre damping                                      828   1922     37
+loads, links, tyre damping                                      822   1580     37
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/roll-centres.md
-    tests/test_{acting,active_strut,bars,heights,links,loads,tyre_damping,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1246   1041      0
+    tests/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
+measured roads, rigs, OpenCRG, IRI                             1084    977      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1749    713     90
+analytic and random roads                                      1712    658     90
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py tests/test_roads.py
     docs/how-to/a-road-in-python.md
 preview, LQR, LQG, H2                                           692    664     40
@@ -64,85 +64,86 @@ preview, LQR, LQG, H2                                           692    664     4
 anti-windup, integrals, compatible options                      400   1185      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/pairs.py tests/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                           1032    492      0
+fixed order, PI, PID                                           1016    472      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/test_{fixed_order,reduction}.py
-goals, families, trade-off front                               4682   2202    177
+goals, families, trade-off front                               4569   1969    177
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
-uncertainty: fragility, mu, boxes                              2863   1255     55
+uncertainty: fragility, mu, boxes                              2853   1255     55
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/test_{fragility,moving_x,multipliers,tolerance,weighted_errors}.py
     docs/how-to/errors-by-frequency.md
-sampled data: norm, bound, designs, rates                      2378   1794     61
+sampled data: norm, bound, designs, rates                      2378   1582     61
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/test_{lost_loops,rates,sampled_*,worst_road}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          5017   1767    113
+export: C99, fixed point, FMI, MATLAB                          4994   1767    113
     synth/controller/export/** synth/command/export*.py synth/vehicle/exported_numbers.py sim/physics/exported_code.py
     sim/linear/rounding.py tests/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                          1007    863    118
+full-order H-infinity                                          1007    839    121
     synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/controllers-with-states.md
-    tests/test_{full_and_static,full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2009   1086      0
+    tests/test_{full_order,named_designs,stable_law}.py
+static search, descent, refine                                 2009    994      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/multistart.py
-    tests/test_{against_descents,fallback,static,strategy}.py
-two steps, LMI path                                            2689   1001     40
+    tests/test_{against_descents,descent,static}.py
+two steps, LMI path                                            2691   1088     40
     synth/design/{__init__,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py tests/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_feedback,sdp,structured_barrier,unobservable}.py
-    tests/test_{central,paper,slicot,slow_modes,structured,unseen}.py docs/explanation/control-problem.md
-certificates, norms, lower bounds                              3326   2766     69
+    tests/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
+certificates, norms, lower bounds                              3325   2552     69
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/exactly.py
-    tests/test_{bounds_hold,certificate,claims,extended,feedback,forged*,lower_bound,noise,norm,prove,stability,zeros}.py
+    tests/test_{bounds_hold,certificate,exact_proofs,extended,false_certificates,feedback,lower_bound,noise,norm}.py
+    tests/test_{prove,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              2247   2227    210
+plant algebra, filters, any plant                              2247   2169    210
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
-synth command, controller record, designer                     3310    890    142
+synth command, controller record, designer                     3229    890    142
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command,way}.py
     docs/how-to/synth.md
-log re-verification                                            2310   1465     47
+log re-verification                                            1217    601     44
     sim/inspect/* tests/{*hostile*,rewriting}.py tests/test_{inspect,log_contents}.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2636   1371     50
+recordings: MCAP, Foxglove, Rerun                              2431   1342     52
     sim/recording/* sim/command/viewer.py tests/{npm.py,mcap_reader.mjs} docs/how-to/{record-and-open,what-is-in-a-log}.md
     tests/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               5918   2103     90
+page and figures                                               5854   2062     90
     sim/report/* models/figures/* tests/{reading.py,page_in_browser.mjs} tests/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      3512   2155    139
+campaigns                                                      3050   1819    141
     sim/campaign/* tests/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               856    408     30
+gallery of papers                                               857    408     30
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/test_gallery.py docs/how-to/gallery.md
-margins in physics                                             3023   1050     79
+margins in physics                                             3003   1050     77
     sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/test_margins.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,sampled_margins,stability_margins}.py
-frequency, sweep                                               1935    638     30
+frequency, sweep                                               1916    638     30
     sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2269   1314      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/test_{expected*,metrics,midway,settled,standing,step_response}.py
-map of validity                                                1057    460     35
+map of validity                                                 971    433     35
     sim/envelope.py sim/studies/validity/* sim/command/envelope_options.py tests/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2206   1076     10
+MuJoCo loop                                                    2189   1051     10
     sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
     tests/test_{energy,hardware,reality,shares}.py
 linear responses                                               1046    456      0
     sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/analysed.py
     tests/test_laws.py
-runs, verdict, their text                                      3112    994     51
+runs, verdict, their text                                      3115    994     51
     sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/faults.py tests/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1306   1405    327
+commands that drive                                            1184   1400    330
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/drives.py tests/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4257    986
+house, pages, benchmarks                                          0   3709    987
     tests/{__init__,ceilings,commands,conftest,pages,same_numbers,shared,sources}.py
     tests/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*

@@ -69,8 +69,7 @@ ROOMS = {
     "sim.runs sim.studies",
     "sim.gallery": "sim.studies",
     "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
-    "synth.design synth.vehicle sim.command sim.linear sim.physics sim.recording sim.response sim.runs "
-    "sim.studies",
+    "synth.design synth.vehicle sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
     "sim.margins": "models.figures models.suspension models.vehicle synth.controller synth.vehicle sim.command "
     "sim.linear sim.runs sim.studies",
     "sim.new": "",
@@ -96,8 +95,7 @@ REACHES = {
     "synth.analysis synth.plant",
     "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.analysis synth.controller synth.design.full_order.preview synth.design.full_order.quadratic synth.plant "
-    "synth.vehicle.quadratic sim.command sim.linear sim.physics sim.recording sim.response sim.runs "
-    "sim.studies",
+    "synth.vehicle.quadratic sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
 }
 
 # Who may import what is heavy, or replaceable.
