@@ -38,7 +38,7 @@ laws in Python                                                  598    695    14
     models/laws/{python_law,python_runtime,user_code}.py tests/test_python_laws.py docs/how-to/a-law-in-python.md
     docs/how-to/any-controller.md tests/test_any_controller.py
 custom vehicle types                                            190    329    121
-    models/kinds/user_kind.py tests/damaged_kinds.py tests/test_own_*.py docs/how-to/your-own-kind.md
+    models/kinds/user_kind.py tests/test_own_*.py docs/how-to/your-own-kind.md
 semi-active dampers and laws                                   1585   1131    128
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
@@ -78,7 +78,7 @@ uncertainty: fragility, mu, boxes                              2853   1255     5
 sampled data: norm, bound, designs, rates                      2378   1582     61
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
-    tests/test_{lost_loops,rates,sampled_*,worst_road}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
+    tests/test_{sampled_*}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
 export: C99, fixed point, FMI, MATLAB                          4994   1767    113
     synth/controller/export/** synth/command/export*.py synth/vehicle/exported_numbers.py sim/physics/exported_code.py
     sim/linear/rounding.py tests/test_{code_in_the_loop,export*}.py docs/how-to/export.md
