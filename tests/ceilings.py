@@ -108,7 +108,7 @@ synth command, controller record, designer                     3229    890    14
     synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command,way}.py
     docs/how-to/synth.md
 log re-verification                                            1217    601     44
-    sim/inspect/* tests/{*hostile*,rewriting}.py tests/test_{inspect,log_contents}.py docs/how-to/inspect.md
+    sim/inspect/* tests/rewriting.py tests/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2431   1342     52
     sim/recording/* sim/command/viewer.py tests/{npm.py,mcap_reader.mjs} docs/how-to/{record-and-open,what-is-in-a-log}.md
     tests/test_{foxglove,law_states,recording,rerun,viewer}.py
