@@ -104,7 +104,7 @@ plant algebra, filters, any plant                              2247   2227    21
 synth command, controller record, designer                     3310    890    142
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
-    synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command,way}.py
+    synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
 log re-verification                                            2310   1465     47
     sim/inspect/* tests/{*hostile*,rewriting}.py tests/test_{inspect,log_contents}.py docs/how-to/inspect.md

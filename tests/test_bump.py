@@ -17,9 +17,7 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.command.comparison import short_lines
 from sim.runs.agreement import ROUNDING, compare
-from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
@@ -200,17 +198,6 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.toml"]
 
 
-def test_exit_code_2_and_one_line(tmp_path):
-    """A mistake ends the command with exit code 2 and one line on stderr, even if what it quotes has two."""
-    process = command("--controller", "I", "--vehicle", "no\nfile", "--json", cwd=tmp_path)
-    out, err = process.communicate()
-    assert process.returncode == 2
-    assert out == ""
-    assert err.startswith("roadproof: vehicle file no file: there is no such file")
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_exit_code_1_when_the_step_is_too_coarse(capsys):
     """At 20 ms RK4 is a tenth of the peak off: that is no agreement, the exit code is 1, and the line says what to do."""
     assert main(["--controller", "I", "--no-logs", "--timestep", "0.02", "-v"]) == 1
@@ -261,20 +248,6 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     first = ", first" if len(run["lift_off"]) > 4 else ""
     assert f"a tyre is off the road{first} from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" in out
     assert "the linear comparison does not apply from" in out
-
-
-def test_a_short_answer_of_a_few_says_where_more_is(paper, designer):
-    """It ends with what `-v` adds; of more controllers the table's note says so.
-
-    The verdict on a single run is explained if its loop grows or stands still.
-    """
-    (run,) = run_controllers(paper, [designer.design("passive")], Bump(), sample_times(paper, 0.05, 1e-3))
-    assert short_lines([run])[-1].startswith("-v adds gains")
-    assert not any("-v adds" in line for line in short_lines([run] * 4))
-    for radius, explained in ((1.001, True), (1.0, True), (0.99, False)):
-        one = replace(run, prediction=replace(run.prediction, radius=radius))
-        verdict = f"  {verdict_lines(one)[0]}"
-        assert [verdict in short_lines(some) for some in ([one], [one, one])] == [explained, False]
 
 
 def test_a_tyre_squeezed_flat_is_reported(capsys):
@@ -470,31 +443,6 @@ def test_a_picture_is_of_the_signals():
             assert {curve.filled for curve in own if curve.marker} == {False, True}
 
 
-def test_a_run_that_grows_widens_an_axis_as_far_as_it_helps():
-    """Beside another run it widens the axis by its linear regime alone, by itself by all of it, and thrice as far at most."""
-    bad = parse_vehicle(f'{VEHICLE}\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[3000.0]]\n')
-    passive, grown = runs = ran(bad, "passive", "bad", road=Bump(height=0.1), duration=0.9, timestep=3e-3)
-    assert grown.broke_off is None
-    assert grown.prediction.radius > 1
-    until = grown.agreement.until
-    for shown in (runs, [grown]):
-        figure = history_figure(shown, "a bump")
-        assert figure is not None
-        for panel in figure.panels:
-            name = panel.title.partition(",")[0].replace(" ", "_")
-            linear = [one.until(until)[name] for one in (grown.sampled, grown.physics)]
-            moves = len(shown) > 1 and name != "control_force"
-            beside = [one[name] for one in (passive.sampled, passive.physics) if moves]
-            within = np.concatenate(beside or linear)
-            wide = np.concatenate(linear if beside else [grown.physics[name]])
-            size = np.ptp(within)
-            low = min(within.min(), max(wide.min(), within.min() - size))
-            high = max(within.max(), min(wide.max(), within.max() + size))
-            assert panel.ylim is not None
-            assert low - 0.05 * (high - low) < panel.ylim[0] <= low, name
-            assert high <= panel.ylim[1] < high + 0.05 * (high - low), name
-
-
 def test_a_long_road_is_drawn_whole_and_near():
     """Beside each panel of a long random road stands its hardest stretch, with a line that can be followed and its peak."""
     runs = ran(read_vehicle("quarter_car"), "passive", road=Iso8608("C", seed=0, speed=20.0), duration=6.0)
@@ -519,18 +467,3 @@ def test_a_long_road_is_drawn_whole_and_near():
     drawn, own = np.interp(runs[0].sampled.time, line.x, line.y), runs[0].sampled["sprung_acceleration"]
     peaks = 1 + np.flatnonzero((own[1:-1] > own[:-2]) & (own[1:-1] > own[2:]) & (own[1:-1] > own.std()))
     assert np.abs(drawn - own)[peaks].max() < 0.1 * own.max()  # of two peaks within ten samples the lower may be cut
-
-
-def test_a_law_that_is_not_linear_is_drawn_whole():
-    """Of a loop without poles the axis holds all of the run: only one that is known to be unstable leaves it."""
-    vehicle = read_vehicle("quarter_car_semi_active")
-    time = sample_times(vehicle, 1.0, 1e-3)
-    (run,) = runs = run_controllers(vehicle, [vehicle.controllers["skyhook"].driver()], Bump(height=0.15), time)
-    assert np.isnan(run.prediction.radius)
-    assert run.agreement.until < 1.0
-    figure = history_figure(runs, "a bump")
-    assert figure is not None
-    for panel in figure.panels:
-        assert "leaves the axis" not in panel.title
-        assert panel.ylim is not None
-        assert all(panel.ylim[0] < curve.y.min() < curve.y.max() < panel.ylim[1] for curve in panel.curves)

@@ -1,10 +1,8 @@
 """`python -m sim.drive`: roads of every kind, metrics beside predictions, logs, and bad input."""
 
-import dataclasses
 import itertools
 import json
 
-import numpy as np
 import pandas
 import pytest
 
@@ -15,7 +13,6 @@ from models.common.units import TIME
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.drive import main
-from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import metrics_of
 from tests.commands import main_of, prose
@@ -101,15 +98,6 @@ def test_obstacles(capsys, road):
     assert metric["mujoco"] > 0
 
 
-def test_profile(capsys, tmp_path):
-    """A measured profile is driven as it is."""
-    path = tmp_path / "road.csv"
-    path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(200)))
-    code, result = run_json(capsys, "--controller", "I", "--road", str(path), "--speed", "10", "--duration", "2", "--no-logs")
-    assert code == 0
-    assert result["road"]["points"] == 200
-
-
 @pytest.mark.parametrize(
     ("duration", "said"),
     [
@@ -141,22 +129,6 @@ def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
             rows[names.pop((signal, name))] = cells
         signal = name if not cells else signal
     return rows
-
-
-@pytest.mark.attack
-def test_full_car_in_words(capsys, tmp_path):
-    """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
-    arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "1", "--logs", str(tmp_path)]
-    assert main([*arguments, "-v"]) == 0
-    out = capsys.readouterr().out
-    vehicle = read_vehicle("full_car")
-    rows = metric_rows(out, vehicle)
-    assert set(rows) == {metric.name for metric in metrics_of(vehicle)}
-    assert all(len(row) >= 4 for row in rows.values())  # unit, and three numbers: no name has pushed them to another line
-    assert "agrees to first order" in out
-    assert out.startswith("full_car over a road: random, class B, seed 0, speed 20 m/s; 1 s at 0.001 s\n")
-    assert f"  rerun {next(tmp_path.glob('*.rrd'))}" in out.splitlines()
-    assert out.splitlines()[-1].startswith("passive  agrees to first order")
 
 
 @pytest.mark.parametrize("seed", ["1", *(pytest.param(seed, marks=pytest.mark.attack) for seed in "23")])
@@ -194,19 +166,6 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
     out = capsys.readouterr().out
     assert f"no metrics of this run: flat tyre at {run['broke_off']['at']:.4g} s" in out
     assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
-
-
-def test_what_an_error_is_of_is_said(capsys):
-    """If the comparison ends, the table says until when its errors are; where it does not, they are of the whole run."""
-    about = "peak and rms: of the whole run"
-    assert main(["--controller", "I", "--class", "D", "--duration", "3", "--no-logs", "-v"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    (at,) = [i for i, line in enumerate(lines) if about in line]
-    assert lines[at - 1].split() == ["signal", "MuJoCo", "sampled", "continuous", "error", "to", "cont.", "vs", "passive"]
-    time = lines[at].split("until ")[1].split(" s;")[0]
-    assert any(f"until {time} s" in line and "agrees" in line for line in lines[at + 1 :])
-    assert main(["--controller", "I", "--class", "A", "--duration", "3", "--no-logs", "-v"]) == 0
-    assert about not in capsys.readouterr().out
 
 
 def test_what_metrics_rest_on_is_said(capsys):
@@ -249,16 +208,6 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     out = prose(capsys.readouterr().out)
     assert "sampled and expected numbers are for a vehicle without bump stops" in out
     assert "MuJoCo's numbers include the noise of the measurements, sampled and expected ones do not" in out
-
-
-def test_why_the_comparison_ends_is_said(paper, designer):
-    """If it ends before the first lift-off, that a tyre may leave the road within a step is said; at a lift-off, nothing."""
-    run = run_controllers(paper, [designer.design("passive")], Bump(), np.arange(200) * 1e-3)[0]
-    for until, said in ((0.05, True), (0.1, False)):
-        agreement = dataclasses.replace(run.agreement, ended={**run.agreement.ended, "lift-off": 0.1}, until=until)
-        (line,) = [one for one in verdict_lines(dataclasses.replace(run, agreement=agreement)) if "does not apply" in one]
-        assert line.startswith(f"the linear comparison does not apply from {until:g} s on")
-        assert line.endswith("within a step, a tyre may leave the road there") == said
 
 
 def test_a_flat_road_changes_nothing(tmp_path, capsys):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.common.printed import LINES, WIDTH
+from models.common.printed import LINES
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -15,14 +15,13 @@ from sim.bump import main as bump
 from sim.drive import main as drive
 from sim.runs.report import energy_lines, verdict, verdict_lines
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.standing import KEYS, Standing, standing_lines
 from synth import design_controllers
 from synth.__main__ import main as synth
 from synth.controller.disk_margin import disk_margin
 from synth.controller.law_margins import LawMargins, law_margins, names_of_warnings, warning_lines
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import gain_crossings
-from tests.commands import main_of, prose, refused
+from tests.commands import prose, refused
 from tests.test_windup import FAST, SLOW, limited, section, semi_active
 
 CORNER = """type = "quarter_car"
@@ -99,19 +98,6 @@ def test_a_controller_that_is_left_out_is_named(corner, capsys):
     for command, options in ((bump, road), (synth, [])):  # alone it is bad input
         with refused("I - D_c D is singular"):
             command(["--vehicle", arguments[1], "--controller", "loop", *options])
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("command", ["sim.sweep", "sim.report"])
-def test_a_sweep_and_a_report_leave_out_a_controller(command, corner, tmp_path, monkeypatch, capsys):
-    """A sweep and a report of several controllers leave out one that has no loop, name it, and their exit code is 1."""
-    monkeypatch.chdir(tmp_path)
-    names = ["--controller", "passive", "--controller", "loop"]
-    options = ["--quick"] if command == "sim.report" else []
-    assert main_of(command)(["--vehicle", corner(NO_LOOP), *names, *options, "--timestep", "5e-3", "--json"]) == 1
-    printed = capsys.readouterr()
-    assert json.loads(printed.out)["left_out"] == ["loop"]
-    assert "controller 'loop' is left out: " in printed.err
 
 
 def test_a_section_that_cannot_be_read_is_bad_input(corner):
@@ -266,23 +252,3 @@ def test_a_vehicle_without_damping_is_no_failure(corner, capsys):
     assert synth(["--vehicle", car, "--controller", "passive", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert (row["stability"], row["failures"]) == ("marginal", [])
-
-
-def test_the_short_answer_of_a_file_with_everything(corner, capsys):
-    """With limits, an implementation, and eight controllers the short answer has at most 24 lines of at most 80 columns."""
-    gains = (f"\n[controllers.gain_{i}]\n{MEASURED}gain = [[{1000.0 * i}, 0.0]]\n" for i in range(1, 7))
-    assert synth(["--vehicle", car := corner(*gains)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= LINES
-    assert max(len(line) for line in lines if car not in line) <= WIDTH
-    assert "-v explains the columns and adds poles, proofs, notes and laws in full" in lines
-
-
-def test_a_wide_table_keeps_its_rows():
-    """Columns with stars and changes move together before a row breaks, and all lines fit."""
-    wide = dict(zip(KEYS, (0.0123, 0.0783, 0.0710, 0.5, 821.0, 2305.0, 0.1), strict=True))
-    plain = dict(zip(KEYS, (1.08, 0.0871, 0.179, 0.1, 0.0, 0.0, 0.0217), strict=True))
-    lines = standing_lines([Standing("passive", plain), Standing("comfort", wide)], "MuJoCo")
-    assert [line.split()[0] for line in lines[2:4]] == ["passive", "comfort"]
-    assert all(len(line.split()) > 5 for line in lines[2:4])
-    assert max(map(len, lines)) <= WIDTH

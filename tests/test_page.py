@@ -37,7 +37,7 @@ from models.figures.page import (
 )
 from models.figures.picture import LONGEST, middle_cut
 from models.figures.reading import Pivot, aligned, notation, read
-from models.figures.svg import TOLERANCE, about, page_text, shade_colors, svg
+from models.figures.svg import TOLERANCE, about, shade_colors, svg
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
@@ -277,13 +277,6 @@ def test_a_picture_needs_no_backend(backend, tmp_path):
     assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
 
 
-def test_only_long_names_may_be_broken():
-    """A name that is too long for a column can be broken in it, a word cannot, and what is read is the same."""
-    assert page_text("of " + "n" * 60 + ", 1 & 2") == f"of <bdi>{'n' * 60}</bdi>, 1 &amp; 2"
-    assert page_text("suspension deflection, I_printed") == "suspension deflection, I_printed"
-    assert "bdi { overflow-wrap: anywhere; }" in CSS
-
-
 def drawn(path: str) -> np.ndarray:
     """The points of a path, in the panel's units."""
     points: list[np.ndarray] = []
@@ -513,17 +506,6 @@ def test_contrast_is_that_of_the_guidelines():
     assert contrast("#000000", "#ffffff") == pytest.approx(21)
     assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
     assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
-
-
-def test_a_figure_of_one_column_is_wide():
-    """Panels below each other are wide, a few side by side stand in a grid, and many in three columns."""
-    panel = Panel("", "x", "y", (Curve(np.arange(3.0), np.arange(3.0), "I"),))
-    figures = tuple(
-        Figure(f"f{count}-{columns}", "", (panel,) * count, columns=columns) for count, columns in ((4, 1), (4, 2), (9, 3))
-    )
-    page = Elements(render(Page("title", ("I",), Section("", ""), (Section("s", "t", figures=figures),))))
-    found = [one["@class"].split()[1:] for one in page.some("div") if one.get("@class", "").startswith("panels")]
-    assert found == [["wide"], [], ["three"]]
 
 
 def test_a_figure_in_words():

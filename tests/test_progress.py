@@ -1,15 +1,12 @@
 """Progress of long work is said on a terminal's stderr, and nowhere else."""
 
 import io
-import os
-import pty
-import subprocess
 import sys
 
 import pytest
 
 from models.common.printed import WIDEST, Stages
-from tests.commands import environment, main_of
+from tests.commands import main_of
 
 
 class Terminal(io.StringIO):
@@ -82,18 +79,6 @@ def test_commands_name_their_stages(line, stages, tmp_path, monkeypatch, capsys)
     assert main_of(command)(arguments) == 0
     check(shown(), stages)
     assert capsys.readouterr().out
-
-
-def test_a_terminal_of_the_system(tmp_path):
-    """One of the system is known to be a terminal by a command of its own process, and is shown the same."""
-    outer, inner = pty.openpty()
-    arguments = [sys.executable, "-m", "synth", "--controller", "I"]
-    done = subprocess.run(arguments, stdout=subprocess.PIPE, stderr=inner, cwd=tmp_path, env=environment(), check=True)
-    os.close(inner)
-    said = os.read(outer, 1 << 16).decode()
-    os.close(outer)
-    check([one.strip() for one in said.split("\r")], ["controller I", "what no controller decides"])
-    assert done.stdout
 
 
 def check(shown: list[str], stages: list[str]) -> None:

@@ -135,20 +135,6 @@ def test_what_is_shown(paper, designer):
     assert "<svg" in dataclasses.replace(run, physics=wrong)._repr_html_()
 
 
-def test_parts_of_a_run_are_shown(paper, designer):
-    """A response, a verdict, an energy balance, metrics and a design say in some lines what they are."""
-    [run] = sim.run(paper, [designer.design("I")], models.Bump(height=0.05), duration=1.0)
-    for one, parts in (
-        (run.physics, ("response: 1001 samples, 0 to 1 s", "tyre_deflection [m]")),
-        (run.agreement, ("agreement: agrees throughout", "tyre_deflection: 7.4e-07 of its peak, 1.1e-06 allowed")),
-        (run.energy, ("energy balances: all but ", "dissipated: ")),
-        (sim.measure_run(run, first=0), ("metrics of a run: 13", "suspension_deflection_peak: MuJoCo 0.0484")),
-        (synth.two_step_design(designer.plant, np.eye(4)), ("design, certificate: holds", "gain: [[", "norm: 7.836")),
-    ):
-        assert all(part in repr(one) for part in parts), repr(one)
-        assert len(repr(one).splitlines()) <= 14
-
-
 def test_a_figure_ends_where_its_run_broke_off(paper):
     """The figure of a run that broke off ends there, and its caption says why; what follows is no vehicle's."""
     pushing = SimpleNamespace(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=[[2e5]])

@@ -141,16 +141,6 @@ def test_what_is_under_the_pointer_is_named(report, tmp_path):
     assert all(re.fullmatch(r"\w+(, MuJoCo)?\n0 m/s² at 0 s", tip) for tip in points.values())
 
 
-@pytest.mark.attack
-@in_browser
-def test_browser_reports_a_request(report, tmp_path):
-    """The test above would notice: a page that asks for a picture on a network is complained of."""
-    text = report[0].read_text(encoding="utf-8")
-    asking = tmp_path / "asking.html"
-    asking.write_text(text.replace("</body>", '<img src="https://example.org/a.png"></body>'), encoding="utf-8")
-    assert "CONSOLE" in browse(asking, 1600, tmp_path)[1]
-
-
 def test_page_is_self_contained(report):
     """Nothing in the page names another host but its own figures' kind, and it is small enough to be mailed."""
     page, _ = report

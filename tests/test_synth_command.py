@@ -16,12 +16,9 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from synth.__main__ import main
-from synth.analysis.invariant_point import invariant_limit
 from synth.command.cross_check import cross_check
 from synth.command.design_table import _limit
 from synth.command.table import _pole_lines, semi_active_lines
-from synth.controller.problem import generalized_plant
-from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import bound_beyond_control
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -89,24 +86,6 @@ def test_other_vehicles(capsys, vehicle):
     assert gaps["state"] == pytest.approx(0, abs=1e-8)
     assert 0 < gaps["I"] < 0.11
     assert 0 < gaps["II"] < 0.11
-
-
-def test_whose_gamma_is_flat(capsys, tmp_path):
-    """If the state feedback is designed for the sampled loop the text says that the gamma is the ideal loop's."""
-    file = tmp_path / "car.toml"
-    file.write_text(
-        read_vehicle("quarter_car").text + "[implementation]\nsample_period = 0.01\nsampled = true\n", encoding="utf-8"
-    )
-    assert main(["--controller", "state", "--vehicle", str(file), "-v"]) == 0
-    assert "flat: for 0.01 % more of the ideal loop's gamma, which a sampled design is not for," in prose(capsys.readouterr().out)
-
-
-def test_text_names_the_flat_optimum_and_the_limit(capsys):
-    """The flat optimum, which the paper did not see, is in the text."""
-    assert main(["--controller", "state", "-v"]) == 0
-    text = prose(capsys.readouterr().out)
-    assert "flat: for 0.01 % more of gamma the state feedback's largest gain on each state, by itself, may be" in text
-    assert "limit: 7.836458 at 63.757 rad/s, where no control changes z (invariant point)" in text
 
 
 def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
@@ -191,24 +170,6 @@ def test_the_case_is_said(capsys, tmp_path):
     assert "\n  without control w reaches z in no way; none is applied\n" in capsys.readouterr().out
 
 
-def test_the_limit_is_computed_once(capsys, monkeypatch):
-    """The limit that no control force changes is the same for every controller and the last line: exact arithmetic is done
-    once."""
-    counted = []
-
-    def counting(plant):
-        counted.append(plant)
-        return invariant_limit(plant)
-
-    monkeypatch.setattr(full_order, "invariant_limit", counting)
-    code, found = table(capsys)
-    assert code == 0
-    assert len(counted) == 1
-    limit = invariant_limit(counted[0])
-    assert limit is not None
-    assert found["invariant_limit"]["norm"] == limit[0]
-
-
 def test_text_says_where_there_is_no_limit(capsys, tmp_path):
     """For the deflection alone, one signal and one force, control can change all; it is said, and in JSON it is null."""
     text = read_vehicle("quarter_car").text
@@ -271,18 +232,6 @@ def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     for row in after["controllers"]:
         assert row["norm"] <= norms[row["name"]] * (1 - promised[row["name"]] / 100)
         assert row["refine_lowers_by_at_least"] is None
-
-
-def test_the_short_answer_has_gains_and_says_why_they_are_gains(tmp_path, capsys):
-    """Without `-v` several refined controllers have their gains, and a law of fewer states than it may have says why."""
-    assert main(["--refine", "--controller", "I", "--controller", "II"]) == 0
-    text = prose(capsys.readouterr().out)
-    assert all(line in text for line in ("I: gain [[9278.", "II: gain [[-13905.8]]", "I: refined: gamma", "II: refined: gamma"))
-    section = 'measured = ["suspension_deflection", "sprung_velocity"]\norder = 2'
-    (tmp_path / "car.toml").write_text(f"{read_vehicle('quarter_car').text}\n[controllers.two]\n{section}\n")
-    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "two"]) == 0
-    said = "two: of at most 2 states none is used: its norm is next to what no controller beats"
-    assert said in prose(capsys.readouterr().out)
 
 
 def test_what_cannot_be_refined_fails_as_it_is(tmp_path, capsys):
@@ -381,16 +330,6 @@ def test_which_loop_is_said(capsys, tmp_path, section):
     assert (said in prose(capsys.readouterr().out)) == bool(section)
     bump(["--vehicle", str(file), "--controller", "I", "--no-logs", "--duration", "0.2", "-v"])
     assert (said in prose(capsys.readouterr().out)) == bool(section)
-
-
-@pytest.mark.parametrize("name", ["quarter_car", "full_car", *attacks(["half_car"])])
-def test_what_is_disturbed_is_said(name, capsys):
-    """A twist that counts beside the road's velocity is said of the car that does not forget it, with what it counts for."""
-    vehicle = read_vehicle(name)
-    main(["--vehicle", name, "--controller", "passive", "-v"])
-    said = f"the height of its twist, of which 1 m counts as {vehicle.linear_model.twist_rate:.4g} m/s"
-    more = generalized_plant(vehicle).Bw.shape[1] - len(vehicle.kind.wheels)
-    assert (said in prose(capsys.readouterr().out)) == (more > 0) == (name == "full_car")
 
 
 def test_save_and_check(capsys, tmp_path):
@@ -509,20 +448,3 @@ def test_malformed_certificate(tmp_path, certificate, message):
     file.write_text(read_vehicle("quarter_car").text + f"\n[controllers.I_printed.certificate]\n{certificate}\n")
     with pytest.raises(InputError, match=message):
         main(["--check", str(file), "--controller", "I_printed"])
-
-
-def test_a_refuted_inequality_is_not_stated(tmp_path, capsys):
-    """For a certificate whose bound was edited, --check states no inequality that does not hold, and no nan."""
-    file, forged = tmp_path / "own.toml", tmp_path / "forged.toml"
-    assert main(["--controller", "II", "--save", str(file), "-v"]) == 0
-    text = file.read_text()
-    (bound,) = [line for line in text.splitlines() if line.startswith("bound = ")]
-    for factor in (0.5, 0.9999):
-        forged.write_text(text.replace(bound, f"bound = {factor * float(bound.split('= ')[1])!r}"))
-        capsys.readouterr()
-        assert main(["--check", str(forged), "--controller", "II_designed", "-v"]) == 1
-        out = prose(capsys.readouterr().out)
-        assert "LMI (20) < 0 by" not in out
-        assert "nan" not in out
-        assert "X > 0 by" in out
-        assert "FAILS: LMI (20) is not negative definite" in out

@@ -95,13 +95,6 @@ def test_a_window_needs_a_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "logs").exists()
 
 
-@pytest.mark.parametrize("option", ["--open", "--serve"])
-def test_without_a_recording_there_is_nothing_to_view(option: str) -> None:
-    """Asking for a view and for no logs is refused."""
-    with pytest.raises(InputError, match=f"{option} shows the recording, and --no-logs makes none"):
-        main(["--controller", "I", option, "--no-logs"])
-
-
 def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """--open starts the viewer on the recording, bound to this machine, in a session of its own, and does not wait for it."""
     told = tmp_path / "told"
