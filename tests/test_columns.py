@@ -1,5 +1,7 @@
 """A `Column` says once what a quantity is called, how it is written and where it is found; tables and JSON read it there."""
 
+import math
+
 from models.common.printed import Column, cells, column_table, json_object
 from models.figures.page import Table
 
@@ -11,9 +13,12 @@ LENGTHS: tuple[Column[float | None], ...] = (
 
 
 def test_one_quantity_in_three_forms():
-    """A table has the number in its own unit and digits, JSON the number itself under the key, and nothing without a key."""
+    """A table has the number in its own unit and digits, JSON the number itself; no number is a dash and null."""
     rows = (("1234.6", "1e+00", "some"),)
     assert cells(LENGTHS, [1.23456]) == rows
     assert column_table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
     assert Table.of("lengths", "", LENGTHS, [1.23456]) == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
     assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
+    for value, row in ((None, ("-", "-", "none")), (math.inf, ("-", "inf", "some"))):
+        assert cells(LENGTHS, [value]) == (row,)
+        assert json_object(LENGTHS, value) == {"length": None}
