@@ -105,7 +105,7 @@ plant algebra, filters, any plant                              2247   2169    21
 synth command, controller record, designer                     3229    890    142
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
-    synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command,way}.py
+    synth/vehicle/{__init__,designer,expected_ride}.py tests/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
 log re-verification                                            1217    601     44
     sim/inspect/* tests/rewriting.py tests/test_inspect.py docs/how-to/inspect.md

@@ -46,10 +46,6 @@ def test_the_page_is_the_same(paper):
     alone, shared = (report_object(one) for one in pages)
     assert alone == shared
     assert told[: len(told) // 2] == told[len(told) // 2 :], "and names its stages in the same order"
-    figures = [[panel for part in one.page.parts for figure in part.figures for panel in figure.panels] for one in pages]
-    assert [[curve.y.tolist() for curve in panel.curves] for panel in figures[0]] == [
-        [curve.y.tolist() for curve in panel.curves] for panel in figures[1]
-    ]
 
 
 def test_what_a_process_leaves_undone_is_done_here():

@@ -1,5 +1,6 @@
 """`python -m sim.bump`: its numbers, its JSON, its exit codes, and what it says when something is wrong."""
 
+import itertools
 import json
 import os
 import re
@@ -17,42 +18,28 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.command.comparison import short_lines
 from sim.runs.agreement import ROUNDING, compare
-from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
 from tests.analysed import predict, simulate
-from tests.commands import prose
+from tests.commands import environment, prose
 from tests.shared import printed, ran
 
 ROOT = Path(__file__).parent.parent
 VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()
 CONTROLLERS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]
 
-# The paper's bump (61)-(62) and its printed gains: DOP853 at rtol 1e-12 on the continuous closed loop, 3 s, 1 kHz; Drake's
-# multibody plant agrees for I. In m/s2, mm, mm, N, with the unit of the last digit that was written down.
-PEAKS = [
-    ("passive", "sprung_acceleration", 2.324, 1e-3),
-    ("passive", "suspension_deflection", 83.08e-3, 1e-5),
-    ("passive", "tyre_deflection", 6.420e-3, 1e-6),
-    ("passive", "control_force", 0.0, 0.1),
-    ("state_printed", "sprung_acceleration", 0.918, 1e-3),
-    ("state_printed", "suspension_deflection", 95.37e-3, 1e-5),
-    ("state_printed", "tyre_deflection", 6.059e-3, 1e-6),
-    ("state_printed", "control_force", 1223.4, 0.1),
-    ("I_printed", "sprung_acceleration", 0.763, 1e-3),
-    ("I_printed", "suspension_deflection", 96.97e-3, 1e-5),
-    ("I_printed", "tyre_deflection", 5.996e-3, 1e-6),
-    ("I_printed", "control_force", 1227.8, 0.1),
-    ("II_printed", "sprung_acceleration", 1.152, 1e-3),
-    ("II_printed", "suspension_deflection", 94.03e-3, 1e-5),
-    ("II_printed", "tyre_deflection", 6.044e-3, 1e-6),
-    ("II_printed", "control_force", 1106.7, 0.1),
-]
+# Peaks over the paper's bump (61)-(62) with its printed gains: DOP853 at rtol 1e-12 on the continuous closed loop, 3 s, 1 kHz;
+# Drake's multibody plant agrees for I. With half the unit of the last digit that was written down.
+PEAKS = {
+    "passive": (2.324, 83.08e-3, 6.420e-3, 0.0),
+    "state_printed": (0.918, 95.37e-3, 6.059e-3, 1223.4),
+    "I_printed": (0.763, 96.97e-3, 5.996e-3, 1227.8),
+    "II_printed": (1.152, 94.03e-3, 6.044e-3, 1106.7),
+}
+DIGITS = {"sprung_acceleration": 5e-4, "suspension_deflection": 5e-6, "tyre_deflection": 5e-7, "control_force": 0.05}
 
-RESPONSES = {"mujoco", "sampled", "continuous"}
 UNITS = {
     "suspension_deflection": "m",
     "tyre_deflection": "m",
@@ -63,25 +50,11 @@ UNITS = {
 }
 
 
-# (options, what the one line says: what was found, what is allowed or known)
 def run_json(capsys, *arguments):
     code = main([*arguments, "--json"])
     said = capsys.readouterr()
     assert said.err == ""
     return code, json.loads(said.out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-
-
-def command(*arguments, cwd, module="sim.bump", **options):
-    """The command as a user starts it."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
-        cwd=cwd,
-        env=environment,
-        stdout=options.get("stdout", subprocess.PIPE),
-        stderr=subprocess.PIPE,
-        text=True,
-    )
 
 
 def vehicle_with(folder, gain, measured="sprung_velocity"):
@@ -99,11 +72,12 @@ def everything():
     return done.json
 
 
-@pytest.mark.parametrize(("controller", "signal_name", "peak", "digit"), PEAKS, ids=[f"{row[0]}-{row[1]}" for row in PEAKS])
-def test_peaks_of_an_independent_solver(everything, controller, signal_name, peak, digit):
+def test_peaks_of_an_independent_solver(everything):
     """The continuous peaks are those that two other simulators gave, to every digit that they were written down with."""
-    run = next(run for run in everything["runs"] if run["controller"]["name"] == controller)
-    assert run["signals"][signal_name]["peak"]["continuous"] == pytest.approx(peak, abs=0.5 * digit + 1e-12)  # half a digit
+    runs = {run["controller"]["name"]: run["signals"] for run in everything["runs"]}
+    for name, peaks in PEAKS.items():
+        for (signal, half), peak in zip(DIGITS.items(), peaks, strict=True):
+            assert runs[name][signal]["peak"]["continuous"] == pytest.approx(peak, abs=half + 1e-12), (name, signal)
 
 
 def test_json_has_this_shape(everything):
@@ -121,7 +95,7 @@ def test_json_has_this_shape(everything):
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
         for entry in run["signals"].values():
             assert set(entry) == {"unit", "peak", "rms", "error"}
-            assert set(entry["peak"]) == set(entry["rms"]) == RESPONSES
+            assert set(entry["peak"]) == set(entry["rms"]) == {"mujoco", "sampled", "continuous"}
             assert set(entry["error"]) == {"sampled", "continuous", "geometry"}
             assert entry["error"]["geometry"] is None  # it has none
         assert run["lift_off"] == []
@@ -160,18 +134,16 @@ def test_table_says_what_json_says(capsys, everything):
     assert printed.err == ""
 
 
-def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
-    """Without `--no-logs` an MCAP file, its layout and a Rerun file are in `logs`; above the verdict it says how to open them."""
-    monkeypatch.chdir(tmp_path)
-    assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1", "-v"]) == 0
-    *_, title, opens, first, _, passive, other = capsys.readouterr().out.splitlines()
-    layout, mcap, rrd = sorted(Path("logs").iterdir())
-    assert opens.split() == ["rerun", str(rrd)]
+def test_logs_are_written_and_named(capsys, tmp_path):
+    """`--logs DIR` makes the folder for an MCAP file, its layout and a Rerun file; above the verdict it says how to open them."""
+    folder = tmp_path / "deep" / "down"
+    assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1", "--logs", str(folder), "-v"]) == 0
+    *_, opens, first, _, passive, _ = capsys.readouterr().out.splitlines()
+    layout, mcap, rrd = sorted(folder.iterdir())
+    assert opens == f"  rerun {rrd}"
     assert first.strip() == str(mcap)
-    assert layout.name.endswith(".layout.json")
-    assert ".layout.json beside it" in title
     assert passive == "passive  agrees throughout; energy balances"
-    assert other.startswith("II       agrees")
+    assert layout.name.endswith(".layout.json")
     with mcap.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
@@ -179,14 +151,6 @@ def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
     # Runs; responses and the difference, samples; shapes; frames of the scene at 60 a second, twice. Nothing else happened.
     assert summary.statistics.message_count == 2 * (4 * 101 + 1 + 2 * 6)
     assert rrd.read_bytes()[:3] == b"RRF"
-
-
-def test_json_names_the_logs(capsys, tmp_path):
-    """`--logs DIR` makes the folder, and `--json` says what it wrote there and nothing else."""
-    folder = tmp_path / "deep" / "down"
-    code, result = run_json(capsys, "--controller", "passive", "--duration", "0.1", "--logs", str(folder))
-    assert code == 0
-    assert sorted(result["logs"].values()) == sorted(str(path) for path in folder.iterdir())
 
 
 def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
@@ -198,17 +162,6 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no gain from what is measured stabilises"):
         main(["--controller", "mine", "--vehicle", "mine.toml"])
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.toml"]
-
-
-def test_exit_code_2_and_one_line(tmp_path):
-    """A mistake ends the command with exit code 2 and one line on stderr, even if what it quotes has two."""
-    process = command("--controller", "I", "--vehicle", "no\nfile", "--json", cwd=tmp_path)
-    out, err = process.communicate()
-    assert process.returncode == 2
-    assert out == ""
-    assert err.startswith("roadproof: vehicle file no file: there is no such file")
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_exit_code_1_when_the_step_is_too_coarse(capsys):
@@ -255,26 +208,10 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     tyre = run["signals"]["tyre_deflection"]["peak"]
     assert abs(tyre["mujoco"] - tyre["sampled"]) > 0.1 * tyre["sampled"]
 
-    start, end = run["lift_off"][0]
     main(["--controller", "I", "--no-logs", "-v", *options])
     out = prose(capsys.readouterr().out)
-    first = ", first" if len(run["lift_off"]) > 4 else ""
-    assert f"a tyre is off the road{first} from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" in out
-    assert "the linear comparison does not apply from" in out
-
-
-def test_a_short_answer_of_a_few_says_where_more_is(paper, designer):
-    """It ends with what `-v` adds; of more controllers the table's note says so.
-
-    The verdict on a single run is explained if its loop grows or stands still.
-    """
-    (run,) = run_controllers(paper, [designer.design("passive")], Bump(), sample_times(paper, 0.05, 1e-3))
-    assert short_lines([run])[-1].startswith("-v adds gains")
-    assert not any("-v adds" in line for line in short_lines([run] * 4))
-    for radius, explained in ((1.001, True), (1.0, True), (0.99, False)):
-        one = replace(run, prediction=replace(run.prediction, radius=radius))
-        verdict = f"  {verdict_lines(one)[0]}"
-        assert [verdict in short_lines(some) for some in ([one], [one, one])] == [explained, False]
+    assert f"from {run['lift_off'][0][0]:.4g} s to " in out
+    assert f"(error and to cont.: until {run['until']:.4g} s; peak and rms: of the whole run)" in out
 
 
 def test_a_tyre_squeezed_flat_is_reported(capsys):
@@ -286,40 +223,22 @@ def test_a_tyre_squeezed_flat_is_reported(capsys):
 
 
 def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
-    """Positive feedback of the body's velocity that just outweighs the damper: no norm, both loops called unstable, and run."""
+    """Positive feedback of the body's velocity that just outweighs the damper: no norm, called unstable, and run."""
     vehicle = vehicle_with(tmp_path, 450.0)
     code, result = run_json(capsys, "--controller", "mine", "--no-logs", "--vehicle", vehicle)
     (run,) = result["runs"]
-    assert code == 0
-    assert run["controller"]["norm"] is None
-    assert run["controller"]["peak_frequency"] is None
-    assert run["agrees"] is True
-    main(["--controller", "mine", "--no-logs", "--vehicle", vehicle, "-v"])
-    out = capsys.readouterr().out
-    assert re.search(r"unstable: a pole at \S+\+\S+j rad/s|unstable: a pole at \S+ 1/s", out)
-    assert "unstable: the sampled loop grows by a factor of 1.000" in out
+    assert (code, run["agrees"]) == (0, True)
+    assert (run["controller"]["norm"], run["controller"]["peak_frequency"]) == (None, None)
     main(["--controller", "mine", "--controller", "passive", "--no-logs", "--vehicle", vehicle, "--brief"])
     assert "mine UNSTABLE loop; agrees" in prose(capsys.readouterr().out)
 
 
-def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):
-    """If MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
-    assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4), "-v"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    (until,) = [line for line in lines if "the linear comparison does not apply from" in line]
-    instant = until.split("from ")[1].split(" s")[0]
-    assert f"  (error and to cont.: until {instant} s; peak and rms: of the whole run)" in lines
-    rows = [line.split() for line in lines if re.match(r"    (peak|rms) ", line)]
-    assert len(rows) >= 10
-    assert all(row[1:4] == ["-", "-", "-"] for row in rows)
-
-
-@pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e6", False), ("-1e7", True), ("1e12", False)])
+@pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e5", False), ("-1e7", True), ("1e12", False)])
 def test_a_diverging_run_stops_cleanly(tmp_path, monkeypatch, capfd, gain, continuous_is_stable):
-    """A wildly unstable gain: physics diverges, JSON has nulls for it, nothing is on stderr, and no file of MuJoCo's is left."""
+    """A wildly unstable gain: JSON has nulls for physics, the table dashes, stderr nothing, and no file is left but logs."""
     monkeypatch.chdir(tmp_path)
-    vehicle = vehicle_with(tmp_path, gain)
-    code = main(["--controller", "mine", "--vehicle", vehicle, "--no-logs", "--json"])
+    arguments = ["--controller", "mine", "--vehicle", vehicle_with(tmp_path, gain)]
+    code = main([*arguments, "--no-logs", "--json"])
     out, err = capfd.readouterr()  # what MuJoCo itself writes is in it
     (run,) = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))["runs"]
     # Until it diverged, MuJoCo did what the analysis says, unless it did so at once: then nothing was compared.
@@ -327,50 +246,42 @@ def test_a_diverging_run_stops_cleanly(tmp_path, monkeypatch, capfd, gain, conti
     assert run["agrees"] == (run["until"] > 0)
     assert (run["controller"]["norm"] is not None) == continuous_is_stable  # -1e7 is too fast for the sampling only
     assert {entry["peak"]["mujoco"] for entry in run["signals"].values()} == {None}
-    assert err == ""
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
-
-
-def test_a_diverging_run_is_logged(capsys, tmp_path, monkeypatch):
-    """A run that broke off is written to the logs like any other, and the table has no "nan" in it."""
-    monkeypatch.chdir(tmp_path)
-    vehicle = vehicle_with(tmp_path, "1e5")
-    assert main(["--controller", "mine", "--vehicle", vehicle, "--logs", str(tmp_path / "logs"), "-v"]) == 0
-    out = capsys.readouterr().out
+    logged = gain == "1e5"
+    assert main([*arguments, *(["--logs", "."] if logged else ["--no-logs"]), "-v"]) == code
+    out, more = capfd.readouterr()
+    rows = [line.split() for line in out.splitlines() if re.match(r"    (peak|rms) ", line)]
+    assert len(rows) >= 10
+    assert all(row[1:4] == ["-", "-", "-"] for row in rows)
     assert "diverged: MuJoCo was stopped at" in out
     assert "nan" not in out
-    assert len(list((tmp_path / "logs").iterdir())) == 3
+    assert err == more == ""
+    assert len([*tmp_path.iterdir()]) == (4 if logged else 1)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_output_that_cannot_be_written(tmp_path):
     """A full disk behind stdout is one line on stderr; a reader that has gone, as `head`, is no error."""
+    words = [sys.executable, "-m", "sim"]  # it ends as all commands do, and needs no numpy
     with open("/dev/full", "w") as full:
-        process = command(module="sim", cwd=tmp_path, stdout=full)  # it ends as all commands do, and needs no numpy
-        _, err = process.communicate()
-    assert process.returncode == 1
-    assert "No space left on device" in err
-    assert err.count("\n") == 1
+        done = subprocess.run(words, cwd=tmp_path, env=environment(), stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert "No space left on device" in done.stderr
+    assert done.stderr.count("\n") == 1
 
     read, write = os.pipe()
     os.close(read)
-    process = command(module="sim", cwd=tmp_path, stdout=write)
+    done = subprocess.run(words, cwd=tmp_path, env=environment(), stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
-    _, err = process.communicate()
-    assert (process.returncode, err) == (0, "")
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_help_shows_units_and_defaults(capsys):
-    """`--help` names every option with its unit and default, and the exit codes."""
-    with pytest.raises(SystemExit) as stop:
+    """`--help` gives the unit and the default of every number, and the exit codes."""
+    with pytest.raises(SystemExit):
         main(["--help"])
-    assert stop.value.code == 0
     out = prose(capsys.readouterr().out)
-    for option in ("--controller", "--vehicle", "--logs", "--no-logs", "--json"):
-        assert option in out
-    for line in ("[m] (default: 0.1)", "[m] (default: 5)", "[m/s] (default: 12.5)", "[s] (default: 3)", "[s] (default: 0.001)"):
+    for line in ("[m] (default: 0.1)", "[m/s] (default: 12.5)", "[s] (default: 3)", "[s] (default: 0.001)", "exit code: 0"):
         assert line in out
-    assert "exit code: 0" in out
 
 
 def test_negative_numbers_are_no_options(capsys):
@@ -402,135 +313,64 @@ def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
     assert 1 / 3 < found["difference"] / error < 3
 
 
-@pytest.mark.parametrize("blur", ["noise", "quantisation", "noise and quantisation"])
-def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path, blur):
-    """At half the step noise and quantisation would be others: then there is no number, and the reason is said, by its name."""
-    built = "".join(f"{name} = {{ sprung_velocity = 1e-4 }}\n" for name in blur.split(" and "))
-    (tmp_path / "noisy.toml").write_text(f"{VEHICLE}\n[implementation]\n{built}")
+def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path):
+    """At half the step noise would be another: then there is no number, and the reason is printed."""
+    (tmp_path / "noisy.toml").write_text(f"{VEHICLE}\n[implementation]\nnoise = {{ sprung_velocity = 1e-4 }}\n")
     arguments = ["--vehicle", str(tmp_path / "noisy.toml"), "--controller", "I_printed", "--height", "0.1", "--length", "1"]
-    main([*arguments, "--duration", "0.5", "--no-logs", "--json"])
-    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    _, result = run_json(capsys, *arguments, "--duration", "0.5", "--no-logs")
+    (run,) = result["runs"]
     assert run["lift_off"]
     assert run["half_step"] is None
     main([*arguments, "--duration", "0.5", "--no-logs", "-v"])
-    out = prose(capsys.readouterr().out)
-    assert f"how good the physics is after lift-off is not said: at half the step its {blur} would be another" in out
-    assert f"MuJoCo stays within the spread that is predicted of its measurements' {blur} (" in out
-    assert f"the linear comparison does not apply from {run['until']:.4g} s on" in out
+    assert "is not said: at half the step its noise would be another" in prose(capsys.readouterr().out)
 
 
 def test_a_picture_is_of_the_signals():
-    """Every weighed signal has a panel: lines are the sampled response, and MuJoCo from the lift-off on, with full markers.
+    """Every weighed signal has a panel: each curve has its response's values, MuJoCo's peaks are marked, the axis holds all.
 
-    The sampled response goes on thinly. The axis holds all, and an unstable loop is drawn until it leaves it, as the title says.
-    MuJoCo's peaks are marked, and a silent signal is not drawn.
+    An unstable loop is drawn until it leaves the axis, as the title says, and a silent signal is not drawn.
     """
-    vehicle = read_vehicle("quarter_car")
-    wild = f'{VEHICLE}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
-    wild_vehicle = parse_vehicle(wild)
-    runs = ran(wild_vehicle, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
+    wild = parse_vehicle(f'{VEHICLE}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n')
+    runs = ran(wild, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
     figure = history_figure(runs, "a bump")
     assert figure is not None
     assert figure.finding.startswith("`I_printed` has the lowest peak of sprung acceleration, ")
     assert runs[2].broke_off is not None
     assert figure.title.endswith(f". `wild` broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
-    assert "\nleaves the axis" in figure.panels[0].title
-    weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
+    assert "leaves the axis: `wild` at " in figure.panels[0].title
+    weighed = [name for name, weight in wild.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
-    for panel, name in zip(figure.panels, weighed, strict=True):
+    for (panel, name), run in itertools.product(zip(figure.panels, weighed, strict=True), runs):
         assert panel.ylim is not None
-        assert panel.xlim == (0.0, 0.6)
-        low, high = panel.ylim
-        for run in runs:
-            who, until = run.controller.name, run.agreement.until
-            own = [curve for curve in panel.curves if who in (curve.label, curve.name.partition(",")[0])]
-            if name == "control_force" and who == "passive":
-                assert not own
-                continue
-            wild, lines = who == "wild", {(curve.name, curve.width == 1.5): curve for curve in own if not curve.marker}
-            for curve in own:
-                response = run.physics if curve.name.endswith("MuJoCo") else run.sampled
-                np.testing.assert_array_equal(curve.y, response[name][np.searchsorted(response.time, curve.x)])
-                if not wild:
-                    assert low <= curve.y.min() <= curve.y.max() <= high
+        who, until = run.controller.name, run.agreement.until
+        own = [curve for curve in panel.curves if who in (curve.label, curve.name.partition(",")[0])]
+        assert bool(own) == ((name, who) != ("control_force", "passive"))
+        for curve in own:
+            response = run.physics if curve.name.endswith("MuJoCo") else run.sampled
+            np.testing.assert_array_equal(curve.y, response[name][np.searchsorted(response.time, curve.x)])
+            if who != "wild":
+                assert panel.ylim[0] <= curve.y.min() <= curve.y.max() <= panel.ylim[1]
                 if curve.marker:
                     assert (curve.x >= until).all() if curve.filled else (curve.x < until).all()
-            if wild:
-                kept = run.physics.until(runs[2].broke_off[1])
-                outside = kept.time[(kept[name] < low) | (kept[name] > high)]
-                last = outside[0] if len(outside) else kept.time[-1]
-                assert panel.title.endswith(f"leaves the axis: `wild` at {last:.3g} s") == bool(len(outside))
-                assert max(curve.x.max() for curve in own) == last
-                continue
-            assert lines["", True].x.max() <= until
-            assert lines[f"{who}, linear", False].x[[0, -1]].tolist() == [until, 0.6]
-            assert lines[f"{who}, MuJoCo", True].x[[0, -1]].tolist() == [until, 0.6]
-            marked = np.concatenate([curve.y for curve in own if curve.marker])
+        marked = np.concatenate([np.zeros(0), *(curve.y for curve in own if curve.marker)])
+        if own and who != "wild":
+            assert np.ptp(panel.ylim) < 10 * np.ptp(run.physics[name])  # others are not squeezed by one that grows
             assert [marked.min(), marked.max()] == [run.physics[name].min(), run.physics[name].max()]
-            assert {curve.filled for curve in own if curve.marker} == {False, True}
-
-
-def test_a_run_that_grows_widens_an_axis_as_far_as_it_helps():
-    """Beside another run it widens the axis by its linear regime alone, by itself by all of it, and thrice as far at most."""
-    bad = parse_vehicle(f'{VEHICLE}\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[3000.0]]\n')
-    passive, grown = runs = ran(bad, "passive", "bad", road=Bump(height=0.1), duration=0.9, timestep=3e-3)
-    assert grown.broke_off is None
-    assert grown.prediction.radius > 1
-    until = grown.agreement.until
-    for shown in (runs, [grown]):
-        figure = history_figure(shown, "a bump")
-        assert figure is not None
-        for panel in figure.panels:
-            name = panel.title.partition(",")[0].replace(" ", "_")
-            linear = [one.until(until)[name] for one in (grown.sampled, grown.physics)]
-            moves = len(shown) > 1 and name != "control_force"
-            beside = [one[name] for one in (passive.sampled, passive.physics) if moves]
-            within = np.concatenate(beside or linear)
-            wide = np.concatenate(linear if beside else [grown.physics[name]])
-            size = np.ptp(within)
-            low = min(within.min(), max(wide.min(), within.min() - size))
-            high = max(within.max(), min(wide.max(), within.max() + size))
-            assert panel.ylim is not None
-            assert low - 0.05 * (high - low) < panel.ylim[0] <= low, name
-            assert high <= panel.ylim[1] < high + 0.05 * (high - low), name
 
 
 def test_a_long_road_is_drawn_whole_and_near():
-    """Beside each panel of a long random road stands its hardest stretch, with a line that can be followed and its peak."""
+    """Beside each panel of a long random road stands its hardest stretch, with its peak."""
     runs = ran(read_vehicle("quarter_car"), "passive", road=Iso8608("C", seed=0, speed=20.0), duration=6.0)
     figure = history_figure(runs, "a road")
     assert figure is not None
-    assert figure.columns == 2
     for whole, near in zip(figure.panels[::2], figure.panels[1::2], strict=True):
         assert near.title.startswith(whole.title + ", from ")
         assert whole.xlim == (0.0, 6.0)
         assert near.xlim is not None
         assert near.xlim[1] - near.xlim[0] < 3.0
-    start, end = figure.panels[1].xlim or (0.0, 0.0)
-    physics = runs[0].physics.until(end)
-    near = {name: physics[name][physics.time >= start] for name in runs[0].vehicle.performance}
-    swings = [np.count_nonzero(np.diff(values > 0)) for values in near.values()]
-    assert 60 < max(swings) < 100  # what swings most often does so 80 times, on average
-    (line,) = (curve for curve in figure.panels[1].curves if not curve.marker)
     (marked,) = (curve for curve in figure.panels[1].curves if curve.marker)
     assert np.abs(marked.y).max() == runs[0].physics.peak("sprung_acceleration")
-    assert np.abs(line.y).max() == pytest.approx(np.abs(marked.y).max(), rel=1e-4)  # RK4's error
     (line,) = (curve for curve in figure.panels[0].curves if not curve.marker)
     drawn, own = np.interp(runs[0].sampled.time, line.x, line.y), runs[0].sampled["sprung_acceleration"]
     peaks = 1 + np.flatnonzero((own[1:-1] > own[:-2]) & (own[1:-1] > own[2:]) & (own[1:-1] > own.std()))
     assert np.abs(drawn - own)[peaks].max() < 0.1 * own.max()  # of two peaks within ten samples the lower may be cut
-
-
-def test_a_law_that_is_not_linear_is_drawn_whole():
-    """Of a loop without poles the axis holds all of the run: only one that is known to be unstable leaves it."""
-    vehicle = read_vehicle("quarter_car_semi_active")
-    time = sample_times(vehicle, 1.0, 1e-3)
-    (run,) = runs = run_controllers(vehicle, [vehicle.controllers["skyhook"].driver()], Bump(height=0.15), time)
-    assert np.isnan(run.prediction.radius)
-    assert run.agreement.until < 1.0
-    figure = history_figure(runs, "a bump")
-    assert figure is not None
-    for panel in figure.panels:
-        assert "leaves the axis" not in panel.title
-        assert panel.ylim is not None
-        assert all(panel.ylim[0] < curve.y.min() < curve.y.max() < panel.ylim[1] for curve in panel.curves)

@@ -35,14 +35,13 @@ from models.figures.page import (
     readable,
     render,
 )
-from models.figures.picture import LONGEST, middle_cut
 from models.figures.reading import Pivot, aligned, notation, read
-from models.figures.svg import TOLERANCE, about, page_text, shade_colors, svg
+from models.figures.svg import TOLERANCE, about, shade_colors, svg
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
 from sim.response.regime import REGIME_ENDS
-from tests.commands import ROOT, attacks
+from tests.commands import ROOT
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("contourpy", reason="a report needs the extra [report]")
@@ -188,12 +187,8 @@ def test_only_its_own_script_and_style(page):
 def test_names_are_text(page):
     """Whatever a controller is called stands on the page as it is, and is no markup."""
     text, found = page
-    names = found.some("caption")[0]["text"], found.some("caption")[-1]["text"]
-    assert any(
-        f"of {name} CSV" in " ".join(said.split())
-        for name in (HOSTILE[0], "passive", "controller-0", LEFTWARD[0])
-        for said in names
-    )
+    captions = " ".join(" ".join(one["text"] for one in found.some("caption")).split())
+    assert any(f"of {name} CSV" in captions for name in (HOSTILE[0], "passive", "controller-0", LEFTWARD[0]))
     assert len(found.some("script")) == 1
     assert "alert(" not in re.sub(r"&lt;script&gt;.*?&lt;/script&gt;", "", text)
     assert "\n".join(one["text"] for one in found.some("p")).count("{{ x }}") == text.count("<p>{{ x }}")
@@ -222,8 +217,7 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
     names = ("passive", "__proto__", "W" * 60, "n" * 60, *(f"controller_of_some_length_{k}" for k in range(6)))
     style, x = styles(names), np.linspace(0, 1, 9)
     curves = tuple(Curve(x, x, name, *style[name]) for name in names)
-    words = ("0.269 m/s² (−76 %)",) * len(names)
-    bars = Bars(names, np.arange(1.0, len(names) + 1), words, tuple(style[name][0] for name in names))
+    bars = Bars(names, np.arange(1.0, 11.0), ("0.269 m/s² (−76 %)",) * 10, tuple(style[name][0] for name in names))
     long = "sprung acceleration weighted, road of class C at 20 m/s: shorter is better"
     lines = Figure("a", f"{long}, {long}, {'W' * 60}", (Panel(long, "x", "y", curves),) * 2)
     for figure in (lines, Figure("b", long, (Panel(f"How?\n{long}", "norm", "", (), bars),) * 2, columns=2)):
@@ -233,7 +227,6 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
         box = canvas.get_tightbbox()
         assert 0 <= box.x0 < box.x1 <= width
         assert 0 <= box.y0 < box.y1 <= height
-        assert len(canvas.legends) == bool(canvas.axes[0].lines)
         assert all("__proto__" in [text.get_text() for text in legend.get_texts()] for legend in canvas.legends)
         for axis in canvas.axes:
             texts = [text.get_window_extent() for text in axis.texts]
@@ -241,28 +234,21 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
-@pytest.mark.parametrize("target", ["other.png", "absent", *attacks(["picture", "other.svg"])])
-def test_the_name_that_is_given_says_what_a_picture_is(target, tmp_path):
+@pytest.mark.parametrize(("name", "begins"), [("l.PNG", b"\x89PNG"), ("l.svg", b"<?xml")])
+def test_the_name_that_is_given_says_what_a_picture_is(name, begins, tmp_path):
     """Through a link of that name, whatever the name of what it leads to."""
     pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
     from models.figures.picture import write_picture
 
-    figure = Figure("a", "b", (Panel("c", "x", "y", (Curve(np.arange(2.0), np.arange(2.0), "d", "#000000"),)),))
-    if target != "absent":
-        (tmp_path / target).touch()
-    names = ("l.png", "l.SVG") if target in ("picture", "other.svg") else ("l.PNG", "l.svg")
-    for name, begins in zip(names, (b"\x89PNG", b"<?xml"), strict=True):
-        link = tmp_path / name
-        link.symlink_to(target)
-        check_outputs({"picture": link})
-        write_picture(figure, link)
-        assert (tmp_path / target).read_bytes().startswith(begins)
-        assert link.is_symlink()
-        link.unlink()
+    link = tmp_path / name
+    link.symlink_to("other.txt")
+    check_outputs({"picture": link})
+    write_picture(Figure("a", "b", (Panel("c", "x", "y", (Curve(np.arange(2.0), np.arange(2.0), "d", "#000000"),)),)), link)
+    assert (tmp_path / "other.txt").read_bytes().startswith(begins)
+    assert link.is_symlink()
 
 
-@pytest.mark.parametrize("backend", ["nonsense", *attacks(["module://matplotlib_inline.backend_inline", "TkAgg", "Agg", ""])])
-def test_a_picture_needs_no_backend(backend, tmp_path):
+def test_a_picture_needs_no_backend(tmp_path):
     """A picture is drawn whatever MPLBACKEND says, and what it says stays for the rest of the process."""
     pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
     code = (
@@ -271,17 +257,10 @@ def test_a_picture_needs_no_backend(backend, tmp_path):
         "one = Curve(np.arange(2.0), np.arange(2.0), 'd', '#000000')\n"
         "write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', (one,)),)), pathlib.Path('a.PNG'))\nprint(os.environ['MPLBACKEND'])"
     )
-    environment = os.environ | {"MPLBACKEND": backend, "PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"MPLBACKEND": "nonsense", "PYTHONPATH": str(ROOT)}
     ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert (ran.stdout, ran.stderr) == (f"{backend}\n", "")
+    assert (ran.stdout, ran.stderr) == ("nonsense\n", "")
     assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
-
-
-def test_only_long_names_may_be_broken():
-    """A name that is too long for a column can be broken in it, a word cannot, and what is read is the same."""
-    assert page_text("of " + "n" * 60 + ", 1 & 2") == f"of <bdi>{'n' * 60}</bdi>, 1 &amp; 2"
-    assert page_text("suspension deflection, I_printed") == "suspension deflection, I_printed"
-    assert "bdi { overflow-wrap: anywhere; }" in CSS
 
 
 def drawn(path: str) -> np.ndarray:
@@ -382,14 +361,6 @@ def test_long_names_are_shortened_beside_their_bar():
     description = element.find("desc")
     assert description is not None
     assert all(name in (description.text or "") for name in names)
-
-
-def test_long_names_of_a_legend_keep_their_ends():
-    """A long name without spaces loses its middle, so that names which differ at their ends do so in a legend."""
-    names = [f"{'x' * 47}_{i}" for i in range(9)]
-    assert {len(middle_cut(name)) for name in names} == {LONGEST}
-    assert len({middle_cut(name) for name in names}) == 9
-    assert middle_cut("I") == "I"
 
 
 @pytest.mark.parametrize("log", [False, True])
@@ -515,17 +486,6 @@ def test_contrast_is_that_of_the_guidelines():
     assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
 
 
-def test_a_figure_of_one_column_is_wide():
-    """Panels below each other are wide, a few side by side stand in a grid, and many in three columns."""
-    panel = Panel("", "x", "y", (Curve(np.arange(3.0), np.arange(3.0), "I"),))
-    figures = tuple(
-        Figure(f"f{count}-{columns}", "", (panel,) * count, columns=columns) for count, columns in ((4, 1), (4, 2), (9, 3))
-    )
-    page = Elements(render(Page("title", ("I",), Section("", ""), (Section("s", "t", figures=figures),))))
-    found = [one["@class"].split()[1:] for one in page.some("div") if one.get("@class", "").startswith("panels")]
-    assert found == [["wide"], [], ["three"]]
-
-
 def test_a_figure_in_words():
     """The text of a figure names every line with its largest value, and every class of a map with its share."""
     x = np.linspace(0, 3, 31)
@@ -536,48 +496,30 @@ def test_a_figure_in_words():
     assert "II: largest 3 m at 3 s" in text
     ground = Classes(x[:2], x[:2], np.array([[0, 0], [0, 1]]), ("#ffffff", "#000000"), ("fine", "broken"))
     assert "fine, 75 %; broken, 25 %;" in about(Panel("map", "x", "y", (), ground))[1]
-
-
-def test_a_place_with_a_name_is_told_by_it():
-    """If an axis has names for numbers, as classes of roads, the words have them, too."""
     panel = Panel("ride", "class of road", "m/s²", (Curve(np.arange(3.0), np.array([1.0, 3.0, 2.0]), "I"),), None)
-    panel = dataclasses.replace(panel, xticks=(0.0, 1.0, 2.0), xnames=("A", "B", "C"))
+    panel = dataclasses.replace(panel, xticks=(0.0, 1.0, 2.0), xnames=("A", "B", "C"))  # classes of roads, by their names
     assert "largest 3 at B, least 1 at A, at the end 2." in about(panel)[1]
 
 
-@pytest.mark.parametrize("every", [1, 7, 60, 1000])
+@pytest.mark.parametrize("every", [1, 60])
 def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
     """Of a line that is thinned the ends, the largest and the least are the whole line's, and so are the words."""
     y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
     some = y[kept := thinned(y, every)]
     assert kept[[0, -1]].tolist() == [0, 500]
-    assert some.max() == y.max()
-    assert some.min() == y.min()
+    assert (some.max(), some.min()) == (y.max(), y.min())
     assert len(some) <= len(y) / every + 4  # two of a block that is not whole, and both ends
-    short = np.zeros(501)
-    short[[40, 300, 477]] = 1.0, -2.0, 3.0
-    assert set(short[thinned(short, every)]) >= ({1.0, -2.0, 3.0} if every < 200 else {-2.0, 3.0})
     gone = np.where(np.arange(501) < 470, y, np.nan)  # a line that breaks off
     assert np.nanmax(gone[thinned(gone, every)]) == np.nanmax(gone)
 
 
 def test_gains_are_matrices(designer):
     """A gain's table has a column for every force, a row for every signal with its unit, and the entries of the gain."""
-    vehicle, one = read_vehicle("quarter_car"), designer.design("I")
-    table = gain_table(vehicle, one)
+    vehicle, gain = read_vehicle("full_car"), np.arange(12.0).reshape(4, 3)
+    measured = ("heave_velocity", "pitch_rate", "roll_rate")
+    table = gain_table(vehicle, dataclasses.replace(designer.design("I"), measured=measured, law=static_law(gain)))
     assert table is not None
-    assert table.headings == ("for each", "unit", "control force")
-    assert table.rows == (
-        ("suspension deflection", "N/m", f"{one.gain[0, 0]:.6g}"),
-        ("sprung velocity", "N·s/m", f"{one.gain[0, 1]:.6g}"),
-    )
-    vehicle = read_vehicle("full_car")
-    gain = np.arange(12.0).reshape(4, 3)
-    table = gain_table(
-        vehicle, dataclasses.replace(one, measured=("heave_velocity", "pitch_rate", "roll_rate"), law=static_law(gain))
-    )
-    assert table is not None
-    assert table.headings[2:] == tuple(name.replace("_", " ") for name in vehicle.linear_model.inputs)
+    assert table.headings == ("for each", "unit", *(name.replace("_", " ") for name in vehicle.linear_model.inputs))
     assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
     assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
     assert gain_table(vehicle, designer.design("passive")) is None
@@ -587,7 +529,7 @@ def test_lines_are_named_beside_them():
     """A label is nearest to its own line, inside the axes; lines on each other share one, and what has no room has none."""
     x = np.linspace(0, 300, 200)
     wave = 30 * np.sin(x / 40)
-    heights = {"low": 60 + wave, "high": 150 + wave, "copy": 150.5 + wave, "near": 153.5 + wave}
+    heights = {"low": 60 + wave, "high": 150 + wave, "copy": 150.5 + wave}
     curves = tuple(Curve(x, y, name) for name, y in heights.items())
     for some, expected in (("low high", ["low", "high"]), ("low high copy", ["low", "high, copy"]), ("low", [])):
         kept = tuple(one for one in curves if one.label in some.split())
@@ -602,7 +544,3 @@ def test_lines_are_named_beside_them():
             assert half <= label.x <= 300 - half
             assert 5.5 <= label.y <= 220 - 5.5
             assert min(apart.values()) >= 5.5  # half the height of the letters: no line runs through them
-    both = Panel("", "x", "y", (curves[1], curves[3]))  # 3.5 apart: whose label it is could not be told from one side
-    named = direct_labels(both, [(one.x, one.y) for one in both.curves], (300.0, 220.0), lambda text: 7.0 * len(text), 11.0)
-    assert all(abs(np.interp(one.x, x, heights[one.text]) - one.y) < 11 for one in named)
-    assert '<text class="beside"' in svg(Panel("", "x", "y", curves[:2]), "p")

@@ -74,8 +74,3 @@ def test_links_and_tables(name):
         headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.M) if heading else []
         assert not heading or heading in [re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in headings]
     assert all(len(line) <= 100 for line in text.splitlines() if line.startswith("|"))
-
-
-def test_the_front_page_is_short():
-    """One reads it whole."""
-    assert len(page("README.md").splitlines()) <= 170

@@ -1,15 +1,12 @@
 """Progress of long work is said on a terminal's stderr, and nowhere else."""
 
 import io
-import os
-import pty
-import subprocess
 import sys
 
 import pytest
 
 from models.common.printed import WIDEST, Stages
-from tests.commands import environment, main_of
+from tests.commands import main_of
 
 
 class Terminal(io.StringIO):
@@ -49,8 +46,10 @@ def test_stages_are_counted(monkeypatch):
     ]
 
 
-def test_a_line_stays_one_line(monkeypatch):
-    """However much is said, it fits the line that the next one overwrites."""
+def test_a_line_stays_one_line(monkeypatch, capsys):
+    """However much is shown, it fits the line that the next one overwrites; a file or a pipe is shown nothing."""
+    Stages("runs")("runs")
+    assert capsys.readouterr().err == ""
     shown = terminal(monkeypatch)
     stage = Stages("runs")
     stage("runs")
@@ -59,19 +58,11 @@ def test_a_line_stays_one_line(monkeypatch):
     assert len(line) == WIDEST
 
 
-def test_no_terminal_no_progress(capsys):
-    """A file or a pipe, which is no terminal, is told nothing."""
-    stage = Stages("designs")
-    stage("designs")
-    stage.end()
-    assert capsys.readouterr().err == ""
-
-
 @pytest.mark.parametrize(
     ("line", "stages"),
     [
         ("sim.envelope --controller I --vary height:0.02:0.1:2 --vary speed:5:20:2 --timestep 4e-3", ["design", "map"]),
-        ("sim.report --quick --controller I --timestep 4e-3", ["designs", "a bump", "frequency responses", "the page"]),
+        ("synth --controller I", ["controller I", "what no controller decides"]),
     ],
 )
 def test_commands_name_their_stages(line, stages, tmp_path, monkeypatch, capsys):
@@ -80,28 +71,11 @@ def test_commands_name_their_stages(line, stages, tmp_path, monkeypatch, capsys)
     command, *arguments = line.split()
     shown = terminal(monkeypatch)
     assert main_of(command)(arguments) == 0
-    check(shown(), stages)
-    assert capsys.readouterr().out
-
-
-def test_a_terminal_of_the_system(tmp_path):
-    """One of the system is known to be a terminal by a command of its own process, and is shown the same."""
-    outer, inner = pty.openpty()
-    arguments = [sys.executable, "-m", "synth", "--controller", "I"]
-    done = subprocess.run(arguments, stdout=subprocess.PIPE, stderr=inner, cwd=tmp_path, env=environment(), check=True)
-    os.close(inner)
-    said = os.read(outer, 1 << 16).decode()
-    os.close(outer)
-    check([one.strip() for one in said.split("\r")], ["controller I", "what no controller decides"])
-    assert done.stdout
-
-
-def check(shown: list[str], stages: list[str]) -> None:
-    """Holds the lines that were shown against the stages that are to be among them."""
-    assert not shown[-1]
-    names = [one.partition("] ")[2].partition(":")[0] for one in shown if one]
-    there = list(dict.fromkeys(names))
-    assert [name for name in there if name in stages] == stages
-    numbers = [int(one[1:].partition("/")[0]) for one in shown if one]
+    lines = shown()
+    names = [one.partition("] ")[2].partition(":")[0] for one in lines if one]
+    assert not lines[-1]
+    assert [name for name in dict.fromkeys(names) if name in stages] == stages
+    numbers = [int(one[1:].partition("/")[0]) for one in lines if one]
     assert sorted(set(numbers)) == list(range(1, max(numbers) + 1))
     assert numbers == sorted(numbers)
+    assert capsys.readouterr().out

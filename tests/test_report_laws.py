@@ -14,7 +14,7 @@ from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.describing_function import DescribingFunction, describing_function
+from sim.studies.frequency.describing_function import describing_function
 from synth.vehicle.designer import Designer
 from tests.test_python_laws import vehicle_of
 
@@ -32,12 +32,12 @@ step.vectorised = True
 MEASURED = ("sprung_velocity", "unsprung_velocity")
 
 
-def report_of(folder: Path, capsys, *options: str, step: float = STEP) -> tuple[dict, str, Path]:
-    """A report of a skyhook law: its JSON, its page, its vehicle file."""
+def report_of(folder: Path, capsys, *options: str, step: float = STEP) -> tuple[dict, Path]:
+    """A report of a skyhook law: its JSON, and its vehicle file."""
     path, page = vehicle_of(folder, SKYHOOK, measured=MEASURED), folder / "report.html"
     arguments = ["--vehicle", str(path), "--timestep", str(step), "--out", str(page), "--json", *options]
     assert main(arguments) == 0
-    return json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8"), path
+    return json.loads(capsys.readouterr().out), path
 
 
 def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
@@ -48,45 +48,24 @@ def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
 @pytest.mark.attack
 def test_a_law_stands_beside_the_others(tmp_path, capsys):
     """A quick report has a law's bump and agreement as physics makes them, and dashes, with a reason, for what nobody proves."""
-    found, page, path = report_of(tmp_path, capsys, "--quick", "--controller", "passive", "--controller", "mine")
+    found, path = report_of(tmp_path, capsys, "--quick", "--controller", "passive", "--controller", "mine")
     assert found["verdict"] == "holds"
     (design,) = rows_of(found, "designs")
     assert [design[key] for key in ("bound", "norm", "lower bound", "slowest pole [1/s]")] == ["-"] * 4
     assert design["certificate"] == "no linear claim: a law in Python"
     assert any(said.startswith("Of `mine` there is no linear claim, as it is a law in Python") for said in found["answer"])
-    assert "What a law in Python asks for is known only of the measurements that it was called with" in page
+    orders = {row["its order"] for row in rows_of(found, "agreement")}
+    assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces
     vehicle = read_vehicle(path)
     (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], Bump(), sample_times(vehicle, 3.0, STEP))
     for row in rows_of(found, "bump"):
         signal = row["signal"].replace(" ", "_")
         assert row["peak, MuJoCo"] == f"{float(run.physics.peak(signal)):.5g}"
         assert row["rms, sampled"] == f"{float(run.sampled.rms(signal)):.5g}"
-    orders = {row["its order"] for row in rows_of(found, "agreement")}
-    assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces
-    assert {row["order of that"] for row in rows_of(found, "agreement")} == {"-"}
     (short,) = rows_of(found, "summary")
     assert (short["H-infinity norm"], short["analysis true up to"]) == ("-", "-")
-    assert short["in MuJoCo"] == f"{float(run.physics.rms('sprung_acceleration')):.3g}"
     assert short["over the paper's bump"] == "agrees throughout"
     assert not rows_of(found, "regime")
-
-
-def check_describing(rows: list[dict], own: DescribingFunction) -> None:
-    """Holds the table of describing functions against one that is identified again."""
-    table = {row["signal"].replace(" ", "_"): row for row in rows}
-    assert set(table) == set(own.outputs)
-    for i, name in enumerate(own.outputs):
-        assert table[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
-        assert table[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
-
-
-def check_ride(ride: list[dict], classes: int) -> None:
-    """Holds the table of the ride against what is known of a skyhook: nothing by analysis, and how it grows with the road."""
-    assert len(ride) == classes * 4  # body, suspension, tyre, force
-    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
-    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
-    assert load == sorted(load)  # a class is twice as rough as the one before
-    assert 1.9 < load[1] / load[0] < 2.1  # and a skyhook that is switched by signs alone is homogeneous
 
 
 @pytest.mark.attack
@@ -96,12 +75,19 @@ def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sim.report.worker_processes.processes", lambda *_: 0)  # these are of this process
     for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
         monkeypatch.setattr(report_ride, name, value)
-    found, _, path = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
+    found, path = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
     assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
     vehicle = read_vehicle(path)
     own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, 2 * STEP, Bump().speed)
-    check_describing(rows_of(found, "describing-functions"), own)
-    check_ride(rows_of(found, "ride"), len(report_ride.CLASSES))
+    table = {row["signal"].replace(" ", "_"): row for row in rows_of(found, "describing-functions")}
+    assert set(table) == set(own.outputs)
+    for i, name in enumerate(own.outputs):
+        assert table[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
+        assert table[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
+    ride = rows_of(found, "ride")
+    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
+    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
+    assert load[1] / load[0] == pytest.approx(2, rel=0.05)  # a class is twice as rough, and such a skyhook is homogeneous
 
 
 def test_a_law_that_fails_is_one_line(tmp_path):
@@ -116,22 +102,15 @@ def test_a_law_that_fails_is_one_line(tmp_path):
 @pytest.mark.attack
 def test_dampers_that_are_short_of_force(tmp_path, capsys):
     """A report of a car with adjustable dampers says how much force they leave out, and which loop its linear claims are of."""
-    page = tmp_path / "report.html"
+    page, vehicle = tmp_path / "report.html", read_vehicle("quarter_car_semi_active")
     arguments = ["--vehicle", "quarter_car_semi_active", "--quick", "--timestep", f"{STEP}", "--json", "--controller", "I"]
     assert main([*arguments, "--controller", "skyhook", "--out", str(page)]) == 0
-    found, text = json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8")
-    vehicle = read_vehicle("quarter_car_semi_active")
+    found = json.loads(capsys.readouterr().out)
     (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
     (one,) = shortfalls(vehicle, run.physics).values()
     (said,) = [line for line in found["answer"] if "leave out" in line]
     assert f"{percent(one.rms)} with `I`" in said
     assert found["answer"][0].startswith("Of `skyhook` there is no linear claim, as it is a semi-active law")
-    assert not [
-        line for line in found["answer"] if "frequency response" in line and "all forces given" not in line and line != said
-    ]
-    assert "MuJoCo has actuators that push in place of the adjustable dampers" in text
-    assert "law in Python" not in text
-    assert "unstable" not in text.lower()
     rows = {row["controller"]: row for row in found["tables"]["summary"]}
     assert rows["I"]["analysis true up to"].endswith(" m")
     (end,) = [row for row in found["tables"]["regime"] if row["controller"] == "I"]
@@ -140,5 +119,3 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     bump = [row for row in found["tables"]["bump"] if row["controller"] == "I"]
     assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.ended['damper']:.4g}"}
     assert {row["to continuous"] for row in found["tables"]["agreement"]} == {"-"}
-    settings = {row["parameter [SI]"]: row["value"] for row in found["tables"]["vehicle"]}
-    assert (settings["[actuators] c_min"], settings["[actuators] c_max"]) == ("200", "1000")

@@ -59,8 +59,7 @@ def test_the_workshop_s_plate_is_marked_as_disputed():
     scope: Any = SimpleNamespace(vehicle=vehicle)
     section = workshop_section(scope, [one])
     assert DISPUTED in section.text[0]
-    (row,) = section.tables[0].rows
-    assert row[:4] == ("passive", "tyre deflection", f"{100 * loads[0].ratio:.2f}", f"{100 * loads[0].measured:.2f}")
+    assert section.tables[0].rows[0][2:4] == (f"{100 * loads[0].ratio:.2f}", f"{100 * loads[0].measured:.2f}")
 
 
 def test_roads_of_the_ride_say_how_rough_they_are():

@@ -18,7 +18,7 @@ from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
-from sim.report.agreement import bump_section, energy_table
+from sim.report.agreement import energy_table
 from sim.report.headline import over_the_bump, worst
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
 from sim.report.scope import Scope
@@ -26,7 +26,6 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.standing import digits
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.vehicle.designer import Designer
 from tests import shared
 from tests.commands import attacks
 from tests.pages import site
@@ -81,61 +80,63 @@ def real() -> PageRead:
     return PageRead(shared.printed("sim.report", *QUICK, "--vehicle", "quarter_car.toml", files=files).folder / "report.html")
 
 
-def test_norms(plain, capsys):
-    """The norms at the top and the table of designs are what `synth` says."""
-    found = {one["name"]: one for one in printed(capsys, synth)["controllers"]}
-    for name in NAMES:
-        row, one = plain.row("designs", controller=name), found[name]
-        assert row["norm"] == f"{one['norm']:.7g}"
-        assert row["peak [Hz]"] == f"{one['peak_frequency'] / (2 * np.pi):.5g}"
-        assert row["bound"] == (f"{one['bound']:.7g}" if one["bound"] else "-")
-        assert f"{name} {one['norm']:.4g}" in plain.answer[0]
-    norms = [found[name]["norm"] for name in NAMES]
-    assert f"{100 * (1 - min(norms) / norms[0]):.0f} % below the passive" in plain.answer[0]
+def held(row: dict[str, str], said: dict[str, str]) -> None:
+    """Asserts that a row of the page has the cells that follow from a command's JSON."""
+    assert {heading: row[heading] for heading in said} == said
 
 
 @pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
-def test_summary(which, request):
-    """The page's summary agrees with what it says below: norms, what the body feels over the bump, the end of the linear
-    regime."""
-    read = request.getfixturevalue(which)
+def test_tables_are_what_the_commands_print(which, request, real_file, capsys):
+    """Norms are those of `synth`; what the tables have of the paper's bump, the summary and the comparison is of `sim.bump`."""
+    read: PageRead = request.getfixturevalue(which)
+    vehicle = ["--vehicle", real_file] if which == "real" else []
+    found = {one["name"]: one for one in printed(capsys, synth, *vehicle)["controllers"]}
     for name in NAMES:
-        row, norm = read.row("summary", controller=name), float(read.row("designs", controller=name)["norm"])
-        assert row["H-infinity norm"] == f"{norm:.4g}"
-        over = read.row("bump", controller=name, signal="sprung acceleration")
-        assert float(row["sprung acceleration, rms [m/s²], predicted"]) == pytest.approx(float(over["rms, sampled"]), rel=5e-3)
-        assert float(row["in MuJoCo"]) == pytest.approx(float(over["rms, MuJoCo"]), rel=5e-3)  # 3 digits
-        ends = read.row("regime", controller=name)
-        stays, leaves = float(ends["MuJoCo stays linear at [m]"]), float(ends["and not at [m]"])
-        (height,) = [value for heading, value in row.items() if heading.startswith("analysis true up to")]
-        assert height == f"{(stays + leaves) / 2:.3g} m"
-        until = float(over["linear until [s]"])
-        assert row["over the paper's bump"] == ("agrees throughout" if until == 3 else f"agrees until {until:.3g} s")
-    norms = {name: float(read.row("designs", controller=name)["norm"]) for name in NAMES}
-    below = 100 * (1 - norms["state"] / norms["passive"])
-    assert any(f"has the least norm ({norms['state']:.4g}, {below:.0f} % below)" in said for said in read.lead)
+        one, bound = found[name], found[name]["bound"]
+        ideal = {"norm": f"{one['norm']:.7g}", "peak [Hz]": f"{one['peak_frequency'] / (2 * np.pi):.5g}"}
+        held(read.row("designs", controller=name), ideal | {"bound": f"{bound:.7g}" if bound else "-"})
+        assert f"{name} {one['norm']:.4g}" in " ".join(read.answer[:2])
+    result = printed(capsys, bump, *(f"--controller={name}" for name in NAMES), *vehicle, *STEP, "--no-logs")
+    kinds = {"MuJoCo": "mujoco", "sampled": "sampled", "continuous": "continuous"}
+    for run in result["runs"]:
+        name, energy = run["controller"]["name"], run["energy"]
+        for signal, one in run["signals"].items():
+            key = {"controller": name, "signal": signal.replace("_", " ")}
+            held(read.row("agreement", **key), {f"to {kind}": f"{one['error'][kind]:.1e}" for kind in ("sampled", "continuous")})
+            if signal in read_vehicle("quarter_car").performance:
+                cells = {f"{what}, {mine}": f"{one[what][kinds[mine]]:.5g}" for what in ("peak", "rms") for mine in kinds}
+                held(read.row("bump", **key), cells)
+        cells = {f"{key} [J]": f"{energy[key]:.5g}" for key in ("road", "actuators", "stored", "dissipated")}
+        cells |= {"turned over [J]": f"{energy['turnover']:.5g}", "left over": f"{energy['residual']:.1e}"}
+        held(read.row("energy", controller=name), cells | {"allowed": f"{energy['allowed']:.1e}"})
+        felt, until = run["signals"]["sprung_acceleration"]["rms"], run["until"]
+        cells = {"sprung acceleration, rms [m/s²], predicted": f"{felt['sampled']:.3g}", "in MuJoCo": f"{felt['mujoco']:.3g}"}
+        cells |= {"over the paper's bump": "agrees throughout" if until is None else f"agrees until {until:.3g} s"}
+        held(read.row("summary", controller=name), cells | {"H-infinity norm": f"{found[name]['norm']:.4g}"})
+    assert len(read.tables["bump"]) == 16
+    compared, best = result["compared"]["controllers"], result["compared"]["best"]
+    for one in compared:
+        name = one["controller"]
+        ride, travel = (
+            f"{digits(one[key] * scale)}{'*' * (name in best[key])}" for key, scale in (("ride", 1), ("peak_travel", 1e3))
+        )
+        change = f"{100 * (one['ride'] / compared[0]['ride'] - 1):+.0f}" if one is not compared[0] else "-"
+        cells = {"ride [m/s²]": ride, "ride, %": change} | ({"peak travel [mm]": travel} if which == "plain" else {})
+        held(read.row("compared", controller=name), cells)
+    assert which == "real" or shared.printed("sim.report", *QUICK).json["compared"] == result["compared"]
 
 
 def test_the_first_screen_answers(plain):
-    """Who is best at what, by how much against passive, and what that costs, is what the table says, in words and in bars."""
+    """Who is best at what, and by how much against passive, is what the table says, in words and in bars."""
     rows = {row["controller"]: row for row in plain.tables["compared"]}
-    for heading, verb in (
-        ("ride [m/s²]", "rides best"),
-        ("dynamic load [-]", "holds the road best"),
-        ("peak travel [mm]", "travels least"),
-    ):
-        unit = heading.partition("[")[2].rstrip("]").replace("-", "")
-        less = f"{heading.split(' [')[0].removeprefix('peak ').replace('dynamic', 'tyre')}, %"
+    for heading, verb in (("ride [m/s²]", "rides best"), ("dynamic load [-]", "holds the road best")):
+        less = f"{heading.split(' [')[0].replace('dynamic', 'tyre')}, %"
         changes = {name: f" {row[less].replace('-', '−')} %" if row[less] != "-" else "" for name, row in rows.items()}
         bars = [f"{name}: {row[heading].rstrip('*')}{changes[name]}{' ★' * ('*' in row[heading])}" for name, row in rows.items()]
         assert f"{'. '.join(bars)}." in plain.text
         for name in [name for name, row in rows.items() if row[heading].endswith("*")]:
             (said,) = [said for said in plain.lead if said.startswith((f"{name} ", f"{name},"))]
-            change = rows[name][less]
-            size = f"{rows[name][heading].rstrip('*')} {unit}".rstrip()
-            assert f"{verb} ({size}{f', {change[1:]} % below' if change != '-' else ''})" in said
-            if name != "passive":
-                assert f"forces of up to {rows[name]['force, peak [N]'].rstrip('*')} N" in said
+            assert f"{verb} ({rows[name][heading].rstrip('*')}" in said
     assert plain.headline.startswith("I rides best, ")
 
 
@@ -147,16 +148,11 @@ def test_dive_is_what_a_drive_says(tmp_path, capsys):
     runs = printed(capsys, drive, "--vehicle", "half_car", "--controller", "passive", "--controller", "II", *road)["runs"]
     for run in runs:
         row = read.row("compared", controller=run["controller"]["name"])
-        assert float(row["dive under 0.5 g [deg]"]) == pytest.approx(
-            run["metrics"]["pitch_angle_dive"]["mujoco"], rel=0.03
-        )  # 2 digits
-    turned = [row for row in read.tables["agreement"] if row["allowed"] == "geometry"]
-    # What bodies that turn make of a difference does not go with the step, so of none of it an order is printed.
-    assert turned
-    assert {(row["its order"], row["order of that"]) for row in turned} == {("-", "-")}
+        dive = run["metrics"]["pitch_angle_dive"]["mujoco"]
+        assert float(row["dive under 0.5 g [deg]"]) == pytest.approx(dive, rel=0.03)  # 2 digits
 
 
-def test_requirements_stand_first(tmp_path, real):
+def test_requirements_stand_first(plain, real):
     """What the vehicle file asks for stands before all else, with who keeps it: limits by the run, goals by their proof."""
     assert next(iter(real.tables)) == "requirements"
     for row in real.tables["requirements"]:
@@ -165,53 +161,7 @@ def test_requirements_stand_first(tmp_path, real):
         assert kept or float(row["result"].removeprefix("✗ at ").removesuffix(" s")) >= until  # of several ends, the first
         assert kept or until < 3
     assert any(row["result"].startswith("✗") for row in real.tables["requirements"])
-    assert "requirements" not in PageRead(shared.printed("sim.report", *QUICK).folder / "report.html").tables
-
-
-def test_who_is_best_is_what_a_bump_says(plain, capsys):
-    """A quick report compares controllers as `sim.bump` does over the paper's bump, on its page and in `--json`."""
-    said = printed(capsys, bump, *(f"--controller={name}" for name in NAMES), "--duration", "3", "--no-logs", *STEP)["compared"]
-    assert shared.printed("sim.report", *QUICK).json["compared"] == said
-    passive = said["controllers"][0]
-    for one in said["controllers"]:
-        row, name = plain.row("compared", controller=one["controller"]), one["controller"]
-        assert row["peak travel [mm]"] == f"{digits(1e3 * one['peak_travel'])}{'*' * (name in said['best']['peak_travel'])}"
-        assert row["ride [m/s²]"] == f"{digits(one['ride'])}{'*' * (name in said['best']['ride'])}"
-        assert row["ride, %"] == (f"{100 * (one['ride'] / passive['ride'] - 1):+.0f}" if one is not passive else "-")
-
-
-def test_one_unit_of_frequency(plain, real):
-    """Frequencies are in Hz; only what stands in the vehicle file in rad/s is quoted so, beside its Hz."""
-    said = "a bandwidth in rad/s. All other frequencies on this page are in Hz."
-    for read in (plain, real):
-        assert said in read.text
-    assert plain.text.replace(said, "").count("rad/s") == 0
-    rest = real.text.replace(said, "").replace("lag from 9.549 Hz on (60 rad/s)", "")
-    assert rest.count("rad/s") == 0
-    assert rest != real.text
-
-
-@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
-def test_bump_table(which, request, real_file, capsys):
-    """Peaks, rms and differences over the paper's bump are what `sim.bump` says."""
-    read = request.getfixturevalue(which)
-    vehicle = ["--vehicle", real_file] if which == "real" else []
-    asked = [part for name in NAMES for part in ("--controller", name)]
-    result = printed(capsys, bump, *asked, *vehicle, *STEP, "--no-logs")
-    rows = 0
-    for run in result["runs"]:
-        name = run["controller"]["name"]
-        for signal, one in run["signals"].items():
-            agreement = read.row("agreement", controller=name, signal=signal.replace("_", " "))
-            assert agreement["to sampled"] == f"{one['error']['sampled']:.1e}"
-            assert agreement["to continuous"] == f"{one['error']['continuous']:.1e}"
-            if signal in read_vehicle("quarter_car").performance:
-                row = read.row("bump", controller=name, signal=signal.replace("_", " "))
-                for kind in ("peak", "rms"):
-                    for mine, theirs in (("MuJoCo", "mujoco"), ("sampled", "sampled"), ("continuous", "continuous")):
-                        assert row[f"{kind}, {mine}"] == f"{one[kind][theirs]:.5g}"
-                rows += 1
-    assert rows == len(read.tables["bump"]) == 16
+    assert "requirements" not in plain.tables
 
 
 @pytest.mark.parametrize("which", attacks(["plain", "real"]))
@@ -223,21 +173,14 @@ def test_frequency_responses(which, request, real_file, capsys):
     result = printed(capsys, sweep, *asked, *STEP)
     errors = []
     for one in result["sweeps"]:
-        row = read.row("frequency-responses", controller=one["controller"])
         largest = {key: max(signal["error"][key] for signal in one["signals"].values()) for key in ("sampled", "continuous")}
-        assert row["error to sampled"] == f"{largest['sampled']:.1e}"
-        assert row["to continuous"] == f"{largest['continuous']:.1e}"
-        assert row["order of the two"] == (f"{one['order']:.2f}" if one["order"] is not None else "-")
+        cells = {"error to sampled": f"{largest['sampled']:.1e}", "to continuous": f"{largest['continuous']:.1e}"}
+        cells |= {"order of the two": f"{one['order']:.2f}" if one["order"] is not None else "-"}
+        held(read.row("frequency-responses", controller=one["controller"]), cells)
         errors.append(largest["sampled"])
-        if which == "real":
-            # The sweep's road is held over every step of 2.5 ms, which takes what is above 10 Hz by (0.08)^2 / 24.
-            built = float(read.row("norms", controller=one["controller"])["norm, as built"])
-            assert built == pytest.approx(one["norm"]["sampled"], rel=0.1)
     (bound,) = re.findall(r"Every frequency response in MuJoCo is within (\S+) of the exact", " ".join(read.answer))
-    bound = number(bound)
-    assert max(errors) <= bound
-    largest = max(float(row["error to sampled"]) for row in read.tables["frequency-responses"])
-    assert bound <= 1.1 * max(largest, *errors)
+    shown = max(float(row["error to sampled"]) for row in read.tables["frequency-responses"])
+    assert max(errors) <= number(bound) <= 1.1 * max(shown, *errors)
 
 
 @pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
@@ -253,8 +196,11 @@ def test_end_of_the_linear_regime(which, request, real_file, tmp_path, capsys):
         row = read.row("regime", controller=name)
         stays, leaves = float(row["MuJoCo stays linear at [m]"]), float(row["and not at [m]"])
         assert height == f"{(stays + leaves) / 2:.3g}"
+        assert f"{height} m" in read.row("summary", controller=name).values()
         assert stays < float(row["at [m]"]) < leaves < 1.0025 * stays
         assert row["predicted end"] == row["ended by"] == end
+        if name in ("passive", "state"):
+            continue
         # The linear prediction of another command, at heights that the page does not have, at the page's very speed.
         axes = ("--vary", f"height:{0.995 * stays}:{1.005 * leaves}:2", "--vary", "speed:12.5:13:2")
         cells = printed(capsys, envelope, "--controller", name, *axes, *STEP, *vehicle)["cells"]
@@ -274,50 +220,33 @@ def test_passive_by_hand(plain, capsys):
 
 
 def test_green_only_throughout(plain, real):
-    """A box is green where the comparison held throughout, and says so; amber where it ended, and says when and why."""
-    assert plain.state == "holds"
-    assert "throughout its 3 s for passive, state, I and II" in plain.text
-    assert real.state == "ends"
+    """The box is green where the comparison held throughout; amber where it ended, with when and why."""
+    assert (plain.state, real.state) == ("holds", "ends")
+    assert "MuJoCo agrees with the analysis, over the paper's bump throughout" in plain.text
     for name in NAMES:
-        row = real.row("bump", controller=name, signal="tyre deflection")
-        until = float(row["linear until [s]"])
+        until = float(real.row("bump", controller=name, signal="tyre deflection")["linear until [s]"])
         assert until < 0.2
-        sentence = (
-            f"{name} agrees with the linear analysis of the loop as built until {until:.3g} s of 3 s: a suspension meets its bump"
-        )
-        assert sentence in " ".join(real.answer)
-        assert f"{name}: bump stop: a suspension is at the end of its stroke first at {until:.4g} s." in real.text
+        assert f"{name} agrees with the linear analysis of the loop as built until {until:.3g} s of 3 s" in " ".join(real.answer)
         # What ended over 0.1 m has to end below 0.1 m.
         assert float(real.row("regime", controller=name)["MuJoCo stays linear at [m]"]) < 0.1
 
 
 def test_every_number_names_its_loop(plain, real):
-    """With limits and an implementation the page says what is of which loop, and lists their values."""
-    assert "The ideal loop is continuous, with no limits and no computer" in real.answer[0]
-    for words in (
-        "±0.08 m",
-        "±2000 N",
-        "60 rad/s",
-        "every 5 ms",
-        "1 sample late",
-        "0.005 rms on sprung_velocity",
-        "steps of 0.001",
-    ):
+    """With limits and an implementation the page says what is of which loop, and lists their values, frequencies in Hz."""
+    for words in ("±0.08 m", "±2000 N", "60 rad/s", "every 5 ms", "1 sample late", "0.005 rms on sprung_velocity"):
         assert words in real.answer[0]
     assert real.answer[1].startswith("H-infinity norms of the ideal loop: passive 35.07")
     assert "As built, without its noise and quantisation, at a step of 2.5 ms: passive 35.07" in real.answer[1]
     listed = {row["parameter [SI]"]: row["value"] for row in real.tables["vehicle"]}
-    assert listed["[limits] suspension_stroke"] == "0.08"
-    assert listed["[limits] stop_stiffness"] == "100000"
-    assert listed["[limits] actuator_force"] == "2000"
-    assert listed["[limits] actuator_bandwidth"] == "60"
-    assert listed["[implementation] sample_period"] == "0.005"
-    assert listed["[implementation] delay"] == "1"
-    assert listed["[implementation] noise of sprung_velocity"] == "0.005"
-    assert listed["[implementation] quantisation of sprung_velocity"] == "0.001"
+    limits = {"suspension_stroke": "0.08", "stop_stiffness": "100000", "actuator_force": "2000", "actuator_bandwidth": "60"}
+    held(listed, {f"[limits] {name}": value for name, value in limits.items()})
+    built = {"sample_period": "0.005", "delay": "1", "noise of sprung_velocity": "0.005"}
+    built |= {"quantisation of sprung_velocity": "0.001"}
+    held(listed, {f"[implementation] {name}": value for name, value in built.items()})
     listed = {row["parameter [SI]"]: row["value"] for row in plain.tables["vehicle"]}
     assert listed["[limits]"] == listed["[implementation]"] == "none"
     assert "as built" not in plain.text
+    assert plain.text.count("rad/s") == plain.text.count("a bandwidth in rad/s. All other frequencies on this page are in Hz.")
 
 
 def test_no_sentence_stands_above_noise(plain, real):
@@ -328,33 +257,8 @@ def test_no_sentence_stands_above_noise(plain, real):
         assert (row["its order"] == "-") or row["controller"] == "passive"
     assert "tends to the continuous one with order 1" in plain.text
     assert "tends to the continuous one with order 1" not in real.text
-    assert "does not tend to the continuous one" in real.text
     assert "held to six of the standard deviations" in real.text
     assert "standard deviations that the noise" not in plain.text
-    (bumps,) = [caption for caption in real.captions if "Response to the bump" in caption]
-    assert "Lines: linear analysis of the loop as it runs, a sample every 5 ms, forces that act 1 sample late" in bumps
-
-
-@pytest.mark.attack
-def test_what_blurs_is_left_out_in_words_only(real, tmp_path, capsys):
-    """Wherever runs are made without noise and quantisation, that is said, with the names of what the file has of them."""
-    assert "of the loop as built, without its noise and quantisation." in " ".join(real.answer)
-    assert "As built, without its noise and quantisation, at a step of" in real.answer[1]
-    assert "analysis true up to, without its noise and quantisation" in real.tables["summary"][0]
-    (swept,) = [caption for caption in real.captions if "response to road velocity" in caption]
-    assert "identified without its noise and quantisation on roads" in " ".join(swept.split())
-    for part in ("Bumps of 5 m at 12.5 m/s, over 3 s at 2.5 ms", "on roads of 0.1 mm"):
-        assert f"{part}, without its noise and quantisation:" in real.text
-    assert "or noise or quantisation, so where" in real.text
-
-    file = vehicle_file(tmp_path, "[implementation]\nquantisation = { sprung_velocity = 0.05 }\n")
-    arguments = ("--vehicle", file, "--controller", "II", "--timestep", "0.005")
-    (one,) = printed(capsys, sweep, *arguments)["sweeps"]
-    assert one["without"] == "quantisation"
-    sweep(list(arguments))
-    text = capsys.readouterr().out
-    assert "its loop as built, but without its quantisation" in text
-    assert "II  agrees without its quantisation: every line" in text
 
 
 @pytest.mark.attack
@@ -421,34 +325,22 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     assert read.state == "ends", read.answer
     assert len(path.read_bytes()) < 500_000
     ride = read.row("ride", controller="II", metric="sprung acceleration weighted", **{"class": "C"})
-    summary = read.row("summary", controller="II")
-    assert float(summary["in MuJoCo"]) == pytest.approx(float(ride["MuJoCo"]), rel=5e-3)  # 3 digits
     assert read.row("compared", controller="II")["ride [m/s²]"] == f"{digits(float(ride['MuJoCo']))}*"
-    assert float(read.row("compared", controller="passive")["ride [m/s²]"]) > float(ride["MuJoCo"])
-    assert "Ride over roads of the classes A, very good, to D, poor" in " ".join(read.captions)
     found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file)
-    for name, key, factor in (
-        ("delay [ms]", "delay", 1e3),
-        ("sample period [ms]", "sample_period", 1e3),
-        ("phase lag [rad]", "phase", 1),
-    ):
-        row = read.row("margins", controller="II", margin=name)
-        for mine, theirs in (("predicted", "predicted"), ("MuJoCo", "found")):
-            assert row[mine] == f"{factor * found[key][theirs]:.5g}"
-    assert read.row("robustness", controller="II")["worst norm"] == f"{found['robustness']['worst_norm']:.5g}"
+    units = {"delay [ms]": ("delay", 1e3), "sample period [ms]": ("sample_period", 1e3), "phase lag [rad]": ("phase", 1)}
+    for name, (key, factor) in units.items():
+        cells = {mine: f"{factor * found[key][theirs]:.5g}" for mine, theirs in (("predicted", "predicted"), ("MuJoCo", "found"))}
+        held(read.row("margins", controller="II", margin=name), cells)
+    held(read.row("robustness", controller="II"), {"worst norm": f"{found['robustness']['worst_norm']:.5g}"})
 
     axes = ("--vary", "height:0.02:0.3:20", "--vary", "speed:3:30:20", *COARSE)
     noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
     cells = printed(capsys, envelope, "--controller", "II", "--vehicle", noiseless, *axes)["cells"]
+    shares = {f"{end} first": [cell["broke_first"] == end for cell in cells] for end in ("lift-off", "bump stop", "flat tyre")}
+    shares |= {"linear analysis holds": [cell["holds"] for cell in cells]}
     row = read.row("validity", controller="II")
-    assert row["linear analysis holds"] == f"{100 * np.mean([cell['holds'] for cell in cells]):.1f} %"
-    assert row["nothing breaks"] == f"{100 * np.mean([cell['broke_first'] is None for cell in cells]):.1f} %"
-    for end in ("lift-off", "bump stop", "force saturation", "flat tyre"):
-        assert row[f"{end} first"] == f"{100 * np.mean([cell['broke_first'] == end for cell in cells]):.1f} %"
-    assert row["as predicted"] == f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"
-    assert (
-        "each run in MuJoCo at 5 ms, without its noise and quantisation: what" in read.text
-    )  # twice the step does not divide 5 ms
+    held(row, {heading: f"{100 * np.mean(share):.1f} %" for heading, share in shares.items()})
+    held(row, {"as predicted": f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"})
 
 
 @pytest.mark.parametrize(
@@ -456,7 +348,7 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     [
         ("", None),
         ("[limits]\nactuator_bandwidth = 60.0\n[implementation]\nsample_period = 0.005\ndelay = 1\n", None),
-        ("[limits]\nactuator_force = 2000.0\nactuator_bandwidth = 60.0\n", "forces up to ±2000 N"),
+        ("[limits]\nactuator_force = 2000.0\n", "forces up to ±2000 N"),
         ("[implementation]\ndelay = 1\nnoise = { sprung_velocity = 0.005 }\n", "noise of 0.005 rms on sprung_velocity"),
     ],
 )
@@ -503,18 +395,7 @@ def test_a_norm_as_built(tmp_path, plain, capsys):
 def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
     """With --class or --road the first table, the metrics and the verdict are of that road, as `sim.drive` has them."""
     options = (
-        "--controller",
-        "passive",
-        "--controller",
-        "I",
-        "--class",
-        "B",
-        "--seed",
-        "3",
-        "--speed",
-        "15",
-        "--duration",
-        "4",
+        *["--controller", "passive", "--controller", "I", "--class", "B", "--seed", "3", "--speed", "15", "--duration", "4"],
         *STEP,
     )
     whole = printed(capsys, report, "--quick", "--out", str(tmp_path / "report.html"), *options)
@@ -529,8 +410,6 @@ def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
             )
     read = PageRead(tmp_path / "report.html")
     assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} s on" in read.lead[-1]
-    assert "Over the road MuJoCo agrees with the linear analysis throughout its 4 s for passive and I" in read.text
-    assert "MuJoCo agrees with the analysis, over the road throughout" in read.text
     assert not any("paper's bump" in said for said in (*read.lead, *read.answer))
 
 
@@ -542,18 +421,6 @@ def test_a_report_without_a_road_has_no_speed(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             report(["--quick", "--out", str(tmp_path / "no.html"), *options])
-
-
-def test_energy_table(plain, capsys):
-    """The report's energies are those of the command, and leave over what it says, of what it allows."""
-    for name in NAMES:
-        found = printed(capsys, bump, "--controller", name, "--no-logs", *STEP)["runs"][0]["energy"]
-        row = plain.row("energy", controller=name)
-        for key in ("road", "actuators", "stored", "dissipated"):
-            assert row[f"{key} [J]"] == f"{found[key]:.5g}"
-        assert row["turned over [J]"] == f"{found['turnover']:.5g}"
-        assert row["left over"] == f"{found['residual']:.1e}"
-        assert row["allowed"] == f"{found['allowed']:.1e}"
 
 
 def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
@@ -574,33 +441,3 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     assert [row[-2:] for row in energy_table([run, kept], scope.where).rows] == [
         (f"{one.residual:.1e}", f"{one.allowed:.1e}") for one in (run.energy, kept.energy) if one is not None
     ]
-
-
-def test_an_unstable_controller_leaves_the_others_to_be_seen():
-    """Beside a loop that grows without bound the axes of the bump are of the others' size; it is drawn, too."""
-    vehicle = parse_vehicle(
-        read_vehicle("quarter_car").text + '\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[60000.0]]\n',
-        source="bad",
-    )
-    designer = Designer(vehicle)
-    controllers = tuple(designer.design(name) for name in ("passive", "I_printed", "bad"))
-    scope, time = Scope(vehicle, designer, controllers, 1e-3, True, print), sample_times(vehicle, 3.0, 1e-3)
-    runs = run_controllers(vehicle, controllers, Bump(), time)
-    assert runs[2].broke_off is not None
-    (figure,) = bump_section(scope, runs, Bump()).figures
-    for panel in figure.panels:
-        assert panel.ylim is not None
-        others = [curve.y for curve in panel.curves if len(curve.y) and "bad" not in curve.label + curve.name]
-        least, most = (float(end(np.concatenate(others))) for end in (np.min, np.max))
-        assert panel.ylim[0] < least < most < panel.ylim[1]
-        assert panel.ylim[1] - panel.ylim[0] < 3.3 * (most - least)  # as much above and below, and the room at either end
-        bad = [curve for curve in panel.curves if "bad" in curve.label + curve.name]
-        assert bad
-        assert all(curve.x.max() < runs[2].broke_off[1] for curve in bad)
-    assert "leaves the axis: `bad` at " in figure.panels[0].title
-
-
-def test_the_headline_says_what_holds_throughout(plain):
-    """The green box confirms "throughout" of the paper's bump alone: elsewhere the linear regime ends, as it says below."""
-    assert plain.state == "holds"
-    assert "MuJoCo agrees with the analysis, over the paper's bump throughout" in plain.text

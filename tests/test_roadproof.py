@@ -24,7 +24,7 @@ def test_it_is_installed():
     assert len(VERBS) == len(COMMANDS)
 
 
-@pytest.mark.parametrize(("called", "named"), [(("bump",), "roadproof bump"), (("synth",), "roadproof synth"), ((), "roadproof")])
+@pytest.mark.parametrize(("called", "named"), [(("bump",), "roadproof bump"), ((), "roadproof")])
 def test_an_error_names_the_command_as_it_was_called(called, named):
     """Bad options are sent to the help page of what was typed: of the verb, or of the module."""
     said = "roadproof: unrecognized arguments: --nonsense; see {} --help\n"
@@ -36,8 +36,9 @@ def test_an_error_names_the_command_as_it_was_called(called, named):
 def test_a_verb_is_its_command():
     """A command prints the same and ends the same either way, bad input included."""
     arguments = ("--controller", "nonsense")
-    assert run("-c", CODE, "synth", *arguments) == run("-m", "synth", *arguments)
-    assert run("-c", CODE, "synth", *arguments)[0] == 2
+    by_verb, by_module = run("-c", CODE, "synth", *arguments), run("-m", "synth", *arguments)
+    assert by_verb == by_module
+    assert by_verb[0] == 2
 
 
 @pytest.mark.parametrize(("words", "code"), [(("nonsense",), 2), (("--help",), 0), ((), 0)])

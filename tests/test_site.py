@@ -1,6 +1,5 @@
 """The site: its pages are found, its reference has every command and every key, and its notebook runs; Sphinx is not needed."""
 
-import argparse
 import contextlib
 import io
 import json
@@ -136,8 +135,3 @@ def test_the_notebook_runs(tmp_path, monkeypatch, made):
                 exec(compile(source, "notebook", "exec"), names)
             assert printed.getvalue() == "".join("".join(output["text"]) for output in cell["outputs"])
     assert (tmp_path / "bump.png").stat().st_size > 10_000
-
-
-def test_a_parser_is_taken_without_a_run():
-    """A command whose parser is asked for does nothing else."""
-    assert isinstance(generate.parser_of("sim.campaign"), argparse.ArgumentParser)

@@ -37,15 +37,6 @@ def test_what_is_printed_is_what_json_has(command: ModuleType, options: list[str
     for one, run in zip(compared[1:], result["runs"], strict=True):
         assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]
     assert [line.split()[0] for line in printed.splitlines()[-2:]] == ["I", "II_printed"]
-    assert len(printed.splitlines()) <= 24
-    assert command.main([*RUN, *options]) == 0
-    usual = capsys.readouterr().out
-    assert usual.endswith(printed[printed.index("\n\n") :])
-    assert all(
-        f"{name}: norm {one['controller']['norm']:.7g} at" in usual for name, one in zip(RUN[1::2], result["runs"], strict=False)
-    )
-    assert "vs passive" not in usual  # signal by signal it is told by -v
-    assert len(usual.splitlines()) <= 24
     with refused("--json", "--brief"):
         command.main([*RUN, *options, "--brief", "--json"])
 

@@ -11,10 +11,9 @@ from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response, worst_sinusoid
-from sim.response.response import SILENT
 from sim.studies.frequency.figure import drawn_line
-from sim.studies.frequency.identification import difference, identify
-from sim.studies.frequency.sweep import failures, short_lines, summary_lines, sweep
+from sim.studies.frequency.identification import identify
+from sim.studies.frequency.sweep import failures, short_lines, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
 from synth.vehicle.designer import Designer
@@ -38,13 +37,8 @@ def test_several_are_a_table(some):
     printed = short_lines(some)
     for name, one in zip(SOME, some, strict=True):
         (cells,) = [line.split() for line in printed if line.split()[:1] == [name]]
-        assert cells[1] == f"{one.extremes.worst.gain:.7g}"
-        assert float(cells[3]) == pytest.approx(
-            100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, abs=5e-5
-        )  # 4 decimals
-        assert float(cells[5]) == pytest.approx(one.lines.error(one.lines.sampled).max(), rel=0.05)  # 2 digits
-    assert "DOES NOT AGREE" not in " ".join(printed)
-    assert summary_lines(some)[1] == "I        agrees: every line, the invariants, and the norm as the largest gain"
+        share = 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain
+        assert (cells[1], float(cells[3])) == (f"{one.extremes.worst.gain:.7g}", pytest.approx(share, abs=5e-5))  # 4 decimals
     worse = dataclasses.replace(some[0], lines=dataclasses.replace(some[0].lines, measured=1.01 * some[0].lines.measured))
     assert f"  {SOME[0]} DOES NOT AGREE: a line of " in " ".join(short_lines([worse, some[1]]))
 
@@ -56,14 +50,6 @@ def test_lines(some):
         assert error < 1e-4  # asked for; RK4's own error makes 4e-5 of it at 2 ms, and 16 times less at 1 ms
         assert not failures(one)
         assert not one.ended
-
-
-def test_an_error_of_a_line_is_relative():
-    """It is the same of a response of any size; a signal that symmetry keeps silent counts by the loudest of its unit."""
-    response, reference = np.array([[1.0, 2e-6, 5.0]]), np.array([[1.25, 0.0, 5.0]])
-    for size in (1.0, 1e-9):
-        found = difference(size * response, size * reference, ("m", "m", "N"))
-        assert found == pytest.approx(np.array([[0.2, 2e-6 / (SILENT * 1.25), 0.0]]))
 
 
 def test_order(paper, designer, some):
@@ -193,13 +179,13 @@ def test_implemented(paper, designer, implementation):
     assert one.error(one.sampled).max() < 1e-4  # as above
 
 
-@pytest.mark.parametrize("period", attacks((0.02, 0.03, 0.04)))
-def test_slower_than_the_lines(paper, designer, period):
+@pytest.mark.attack
+def test_slower_than_the_lines(paper, designer):
     """A controller whose half sample rate lies below 25 Hz has lines up to there, and images of them disturb no claim."""
-    vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=period, delay=1))
+    vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=0.03, delay=1))
     (one,) = sweep(vehicle, [designer.design("II")], 1e-4, 5e-3, 12.5)
     assert failures(one) == []
-    assert 0.88 < one.lines.omega.max() * period / np.pi < 0.99  # all lines there are, spaced by 10 %
+    assert 0.88 < one.lines.omega.max() * 0.03 / np.pi < 0.99  # all lines there are, spaced by 10 %
 
 
 @pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.01, delay=1.3)])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.printed import percent
 from models.laws.python_law import Programmed
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation
@@ -17,7 +16,6 @@ from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.studies.frequency.describing_function import (
-    DescribingFunction,
     describing_function,
     describing_lines,
     describing_verdict,
@@ -79,12 +77,6 @@ def gain(tmp_path_factory):
     return found_of(tmp_path_factory.mktemp("gain"), GAIN, lowest=LOWEST)
 
 
-@pytest.fixture(scope="module")
-def coarse_gain(tmp_path_factory):
-    """Returns the same at a step at which no number is held against an exact one."""
-    return found_of(tmp_path_factory.mktemp("gain"), GAIN, step=COARSE)
-
-
 @pytest.mark.attack
 @pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
@@ -122,26 +114,17 @@ def test_what_is_outside_is_measured(tmp_path):
 
 
 @pytest.mark.attack
-def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
-    """A force that goes its own way is energy outside; words and numbers say the same, and claim no norm."""
+def test_a_law_that_does_not_follow_the_road(tmp_path):
+    """A force that goes its own way is energy outside, and no norm is claimed; the log proves as much."""
     path = vehicle_of(tmp_path, SQUARE)
     options = ["--vehicle", str(path), "--controller", "I", "--controller", "mine", "--timestep", f"{COARSE}"]
-    assert main([*options, "--logs", str(tmp_path / "logs"), "-v"]) == 0
-    said = prose(capsys.readouterr().out)
+    assert main([*options, "--logs", str(tmp_path / "logs")]) == 0
     (log,) = (tmp_path / "logs").glob("*.mcap")
     recorded = read_log(log)
     linear, mine = recorded.result["sweeps"]
-    assert linear["controller"] == "I"
     assert linear["norm"]["sampled"] > 0
     assert (mine["controller"], mine["law"], mine["norm"], mine["failures"]) == ("mine", "mine.py:step", None, [])
     assert max(mine["signals"]["control_force"]["outside"]) > 0.99
-    outside = max(share for signal in mine["signals"].values() for share in signal["outside"] if share is not None)
-    assert f"mine no linear claim: in the worst signal {percent(outside)} of the energy is at other frequencies" in said
-    worst = int(np.argmax(mine["gains"]))
-    largest, hertz = mine["gains"][worst], mine["omega"][worst] / (2 * np.pi)
-    assert f"largest L2 gain of these sinusoids: {largest:.5g} at {hertz:.3g} Hz; no norm" in said
-    force = [abs(complex(*pair)) for pair in mine["signals"]["control_force"]["measured"]]
-    assert f"control_force {max(force):.4g} {mine['omega'][int(np.argmax(force))] / (2 * np.pi):.3g} " in said
     assert prove(recorded).holds
 
 
@@ -176,43 +159,17 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     text, verdict = prose(" ".join(describing_lines(found))), describing_verdict(found)
     which = f"every one of its {count}" if wild.all() else f"{wild.sum()} of its {count}"
     assert f"{which} runs diverged, the first at {found.diverged.min():.4g} s: nothing is measured in such" in text
-    assert ("largest L2 gain" in text) is not wild.all()
-    assert ("sprung_acceleration" in text) is not wild.all()
     assert "nan" not in text
     assert verdict == "NOTHING MEASURED: every run diverged" if wild.all() else "divergence" in verdict
-    assert holds(found) is not wild.all()
+    assert holds(found) is not wild.all()  # the command's exit code is then 1
     assert not holds(replace(found, diverged=np.zeros(count), ended=("divergence",))), "nothing is measured then"
-    assert found.drift >= 0.0
     assert not recwarn.list
 
 
 @pytest.mark.attack
 def test_a_law_of_which_nothing_is_measured_is_no_success(tmp_path, capsys):
-    """As `sim.bump` does where nothing is compared, the command exits with 1 where every run diverged, and says why."""
+    """If every run diverged the command exits with 1, and `--json` gives the reason."""
     path = vehicle_of(tmp_path, WILD.format(limit=-1.0), more=f"preview = {COARSE}")
     assert main(["--vehicle", str(path), "--controller", "mine", "--timestep", f"{COARSE}", "--json"]) == 1
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]
     assert found["failures"] == ["every run diverged, and nothing is measured"]
-
-
-def test_shares_read_as_percent(coarse_gain):
-    """Shares of one and more are printed as percent, without a power of ten."""
-    found, _ = coarse_gain
-    large = replace(found, outside=np.full_like(found.outside, 0.9996), drift=14.2)
-    text = prose(" ".join(describing_lines(large)))
-    assert " 100 % " in text
-    assert "a fundamental still changed by 1420 %" in text
-    assert "in the worst signal 100 % of the energy" in describing_verdict(large)
-
-
-def test_a_picture_has_points_and_no_line(coarse_gain):
-    """If analysis has no response none is drawn: a law's points stand alone."""
-    from models.figures.figure import styles
-    from sim.studies.frequency.figure import sweep_figure
-
-    found, vehicle = coarse_gain
-    assert isinstance(found, DescribingFunction)
-    figure = sweep_figure(vehicle, [], AMPLITUDE, STEP, SPEED, styles(("mine",)), [found])
-    curves = [curve for panel in figure.panels for curve in panel.curves if len(curve.x)]
-    assert len(curves) == len(vehicle.performance)
-    assert {(curve.dash, curve.filled) for curve in curves} == {("none", True)}

@@ -46,14 +46,7 @@ def test_served_on_this_machine_until_interrupted(tmp_path: Path, how: signal.Si
     """--serve answers on the loopback address only, and Ctrl-C or SIGTERM ends it with every process it started, exit code 0."""
     command = [
         sys.executable,
-        "-m",
-        "sim.bump",
-        "--controller",
-        "passive",
-        "--duration",
-        "0.5",
-        "--serve",
-        "--logs",
+        *["-m", "sim.bump", "--controller", "passive", "--duration", "0.5", "--serve", "--logs"],
         str(tmp_path),
     ]
     errors = tmp_path / "errors"
@@ -95,13 +88,6 @@ def test_a_window_needs_a_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "logs").exists()
 
 
-@pytest.mark.parametrize("option", ["--open", "--serve"])
-def test_without_a_recording_there_is_nothing_to_view(option: str) -> None:
-    """Asking for a view and for no logs is refused."""
-    with pytest.raises(InputError, match=f"{option} shows the recording, and --no-logs makes none"):
-        main(["--controller", "I", option, "--no-logs"])
-
-
 def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """--open starts the viewer on the recording, bound to this machine, in a session of its own, and does not wait for it."""
     told = tmp_path / "told"
@@ -116,18 +102,12 @@ def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert told.read_text() == repr((["--bind", "127.0.0.1", "--port", "auto", "x.rrd"], True))
 
 
-@pytest.mark.parametrize(
-    ("ending", "words"),
-    [
-        ("sys.stderr.write('listening\\n\\x1b[31mError: no\\x1b[0m adapter\\n\\n'); sys.exit(1)", r"did not open \(no adapter\)"),
-        ("os.abort()", r"did not open \(it says nothing\)"),
-    ],
-)
-def test_a_window_that_does_not_open_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, words: str) -> None:
+def test_a_window_that_does_not_open_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A viewer that ends at once, as without a graphics card, is one line with its own reason and where the recording is."""
+    ending = "sys.stderr.write('listening\\n\\x1b[31mError: no\\x1b[0m adapter\\n\\n'); sys.exit(1)"
     monkeypatch.setattr(rerun_viewer, "FAILING", 60.0)
-    monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", f"import os, sys; {ending}"])
-    with refused(str(tmp_path / "x.rrd"), match=words):
+    monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", f"import sys; {ending}"])
+    with refused(str(tmp_path / "x.rrd"), match=r"did not open \(no adapter\)"):
         rerun_viewer.open_viewer(tmp_path / "x.rrd")
 
 
