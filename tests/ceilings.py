@@ -119,7 +119,7 @@ campaigns                                                      3512   2155    13
 gallery of papers                                               856    408     30
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/test_gallery.py docs/how-to/gallery.md
 margins in physics                                             3023   1050     79
-    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/test_margins.py docs/how-to/margins.md
+    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,sampled_margins,stability_margins}.py
 frequency, sweep                                               1935    638     30
     sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/test_{eusama,sweep*}.py docs/how-to/sweep.md
