@@ -73,7 +73,7 @@ goals, families, trade-off front                               4682   2202    17
     docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
 uncertainty: fragility, mu, boxes                              2863   1255     55
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
-    {models,synth}/vehicle/weighted_errors.py tests/test_{fragility,moving_x,multipliers,tolerance,weighted_errors}.py
+    {models,synth}/vehicle/weighted_errors.py tests/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/errors-by-frequency.md
 sampled data: norm, bound, designs, rates                      2378   1794     61
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.studies.stability import growth_test
@@ -16,7 +15,6 @@ from sim.studies.stability.growth_test import Growth, Trial, grows
 from sim.studies.stability.late_loop import LateLoop, late_loop
 from sim.studies.stability.margin_search import searches
 from sim.studies.stability.slowest_mode import slowest_rate
-from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from tests.analysed import sampled_radius
 from tests.shared import designed
@@ -50,6 +48,20 @@ def test_a_run_does_not_decide_a_mode_that_creeps(rate):
         lambda amount: pytest.fail("it has run"), 1.0, 2.0, tried={0.999: Growth(False), 1.001: Growth(True, decided=False)}
     )
     assert math.isnan(search.found)
+
+
+def test_a_run_of_which_nothing_is_left_decays():
+    """A run is still if nothing is left in its last quarter, and in as many samples as a force may be on its way: it decays.
+
+    If more than rounding counts as nothing, what grows may be faint at first, and the longest run decides.
+    """
+    states = np.zeros((2, 4, 200))
+    for i, until in enumerate((140, 160, 100, 120)):
+        states[:, i, :until] = 1.0
+    still = [growth_test._still(states[:, i], samples, 1e-12) for i, samples in enumerate((4, 4, 90, 90))]
+    assert still == [True, False, True, False]
+    ends = [growth_test._grows(states[:, 2], math.nan, gone, last) for gone in (1e-12, 1e-9) for last in (False, True)]
+    assert ends == [False, False, None, False]
 
 
 @pytest.mark.parametrize(
@@ -148,25 +160,6 @@ def test_late_loop(kind, actuators, how):
     assert rate == pytest.approx(loop.rate, rel=1e-6)
     over = [np.linalg.norm(run[:, k : k + 500]) for k in (1000, 2500)]
     assert math.log(over[1] / over[0]) / (1500 * timestep) == pytest.approx(loop.rate, abs=1.0)  # what is left of it
-
-
-def test_late_loop_of_one_of_two_forces_with_states():
-    """A law with states whose one force is late and whose other is not has the loop that is written out by the whole law."""
-    vehicle, timestep, late = read_vehicle("half_car"), 2e-3, 3
-    whole = designed(vehicle, "I")
-    filtered = LinearLaw(np.diag([-30.0, -40.0]), np.eye(2, 4), 1e3 * np.ones((2, 2)), whole.gain)
-    whole = dataclasses.replace(whole, law=filtered)
-    mine, other = (dataclasses.replace(whole, law=filtered.only(np.array(one))) for one in ([False, True], [True, False]))
-    loop = late_loop(dataclasses.replace(vehicle, implementation=Implementation(delay=late)), mine, other, timestep)
-    assert loop is not None
-    Phi, Gamma, G = sampled_loop_transfer(vehicle, whole, timestep, [1])
-    n, m = Gamma.shape
-    pending = np.eye((late - 1) * m, late * m, m)  # the forces on their way, the next to act first
-    written = np.block(
-        [[Phi, Gamma, np.zeros((n, (late - 1) * m))], [np.zeros(((late - 1) * m, n)), pending], [G, np.zeros((m, late * m))]]
-    )
-    assert loop.rate == pytest.approx(math.log(np.abs(np.linalg.eigvals(written)).max()) / timestep, rel=1e-4)  # of RK4
-    assert late_loop(vehicle, mine, whole, timestep) is None  # both have the second
 
 
 def test_slowest_mode_of_known_modes():
