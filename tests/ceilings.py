@@ -69,7 +69,7 @@ fixed order, PI, PID                                           1032    492      
 goals, families, trade-off front                               4682   2202    177
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
-    tests/test_{band,energy_limits,family,front,goals*}.py
+    tests/goals.py tests/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
 uncertainty: fragility, mu, boxes                              2863   1255     55
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py

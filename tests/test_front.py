@@ -23,7 +23,7 @@ from synth.controller.problem import problem
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import weighing
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
-from synth.vehicle.trade_off.continuation import undominated
+from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import Front, _limits, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
 from tests.commands import attacks, prose
@@ -275,6 +275,17 @@ def test_mujoco_tends_to_the_norm(few):
     off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
     assert 0 < abs(off[1]) < 0.002
     assert off[0] / off[1] == pytest.approx(2, rel=0.1)  # the square of the step is left
+
+
+def test_rays():
+    """They are as many as are said, from end to end, neighbours next to one another."""
+    for ends in (np.array([[1.0, 5.0], [4.0, 2.0]]), np.eye(3)):
+        for count in (3, 10, 200):
+            points = np.array(list(rays(ends, count)))
+            assert len(points) == rays_of(len(ends), count)
+            assert all(np.min(np.linalg.norm(points - end, axis=1)) < 1e-12 for end in ends)
+            steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+            assert steps.max() < 1.0001 * steps.min()
 
 
 def test_undominated():

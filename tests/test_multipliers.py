@@ -166,6 +166,8 @@ def test_a_damaged_proof_proves_nothing(which):
         turned[3] *= -1
         forged = [replace(proof, G=0 * proof.G), replace(proof, X=turned), replace(proof, X=proof.X[:4])]
         forged += [replace(proof, F=-proof.F)]
+        backwards = replace(gain, plant=replace(gain.plant, A=-gain.plant.A, B=-gain.plant.B))  # in time: every loop is unstable
+        assert not replace(proof, X=-proof.X, F=-proof.F).holds(backwards, box)  # though it satisfies the inequality
         forged += [replace(proof, X=proof.X + 1e-9 * np.abs(proof.X).max() * skew)]  # the inequality knows no difference
     else:
         tilted = replace(proof, P=proof.P + 1e-3 * np.abs(proof.P).max() * 1j * np.eye(4))

@@ -20,8 +20,8 @@ from sim.response.regime import over
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
-from sim.studies.ride.metrics import Meter
-from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent
+from sim.studies.ride.metrics import Meter, measure
+from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
 from synth.vehicle.designer import design
 from tests.analysed import simulate
 from tests.commands import once, prose
@@ -150,6 +150,18 @@ def test_without_curves_nothing_changes(paper):
 
 
 @pytest.mark.attack
+def test_where_second_order_is_not_enough_that_is_said():
+    """If a gain all but cancels a spring that gets far stiffer, lines alone are consistent, and the sentence says so."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
+    line = equivalent(vehicle, design(vehicle, "I"), Iso8608("D", 0, 20.0).spectrum, 1e-3)
+    assert line is not None
+    assert line.remainder is None
+    assert line_object(vehicle, line)["second_order"] is False
+    said = " ".join(line_words(vehicle, line))
+    assert "without the remainders of the curves" in said
+
+
+@pytest.mark.attack
 def test_it_says_so(tmp_path, capsys, monkeypatch):
     """The text names slopes and mean deflections, as JSON has them."""
     monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
@@ -220,3 +232,20 @@ def test_it_is_within_what_two_hundred_roads_say(road_class, name):
         assert abs(expected.mean[metric] ** 2 - squares.mean()) < error, metric
         if road_class == "C" and name == "passive":  # where the line at rest would be far outside
             assert abs(at_rest.mean[metric] ** 2 - squares.mean()) > 2 * error, metric
+
+
+@pytest.mark.attack
+def test_energy_has_the_mean_force_in_it():
+    """For a controller that holds up what an asymmetric damper pulls down, the energy is that of its mean force, too."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    controller, time = design(vehicle, "I"), sample_times(vehicle, SETTLED + WINDOW, STEP)
+    roads = [Iso8608("C", seed, 20.0) for seed in range(16)]
+    response = simulate([vehicle] * 16, [controller] * 16, roads, time, threads=0).response
+    first = round(SETTLED / STEP)
+    found = np.array([measure(vehicle, response.run(i), first)["control_energy"] for i in range(16)])
+    expected = expect(vehicle, controller, roads[0].spectrum, STEP, WINDOW)
+    assert expected is not None
+    held = expected.line.mean["control_force"]
+    assert abs(held) > 0.5 * expected.mean["control_force_rms"]
+    assert expected.mean["control_energy"] == pytest.approx(found.mean(), abs=3 * found.std() / np.sqrt(16))
+    assert 3 * found.std() / np.sqrt(16) < 0.15 * found.mean()  # without the mean force it would be a third

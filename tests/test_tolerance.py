@@ -12,7 +12,7 @@ from synth.analysis.certificate import eta_of
 from synth.analysis.norm import hinf_norm
 from synth.analysis.uncertainty_box import BoxProof, lmi, proves
 from synth.design.uncertainty.problem import box_of, scaled_gain
-from synth.design.uncertainty.worst_case import WorstNorm, norm_at, worst_norm
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, WorstNorm, norm_at, worst_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.commands import in_the_suite, refused
@@ -236,3 +236,15 @@ def test_a_discrete_plant_with_a_pole_at_minus_one():
     assert hinf_norm(plant.closed_loop(K * (1 + worst.readings))).value == pytest.approx(worst.found, rel=1e-9)  # two ways
     generator = np.random.default_rng(0)
     _sampled(worst, lambda a, b: hinf_norm(plant.closed_loop(K * a)).value, 60, generator, np.full(2, 0.2), np.zeros(1))
+
+
+def test_slopes_are_those_of_differences():
+    """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
+    plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
+    through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
+    heights = WorstCaseNormFunction(scaled_gain(plant, Cy, K, Dyw, through))
+    at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
+    ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
+    assert np.all(np.isfinite(ends))  # or there is no slope
+    differences = np.array([(up - down) / (2 * step) for up, down in ends])
+    assert heights.slope(at) == pytest.approx(differences, rel=1e-4, abs=1e-4 * np.abs(differences).max())  # of differences

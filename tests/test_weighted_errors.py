@@ -12,7 +12,7 @@ from models.kinds.kind import HERE
 from models.vehicle.vehicle import parse_vehicle
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
-from synth.design.uncertainty.structured_bound import NEAR, Part, StructuredBound, structured_bound
+from synth.design.uncertainty.structured_bound import NEAR, Part, StructuredBound, best_scales, structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.design.uncertainty.structured_perturbation import _all_pass, closed_by_errors, worst_errors
 from synth.plant.generalized import GeneralizedPlant
@@ -207,3 +207,43 @@ def test_of_the_continuous_loop():
     text = CAR.format(tolerance="{ force = { weight = 0.1 } }") + "[implementation]\nsample_period = 0.01\n"
     done = printed("synth", "--vehicle", "car.toml", "--controller", "soft", "-v", files={"car.toml": text})
     assert "robust stability and performance (mu) are of the continuous loop" in " ".join(done.out.split())
+
+
+def test_one_error_by_brute_force():
+    """For one error and the performance, mu at a frequency is where the largest norm over all phases is its inverse size."""
+    M = random_loop(102, 1, True).at(np.array([0.7]))[0]
+    value, _ = best_scales(M, 1)
+    phases = np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
+    zw, zp, qw, qp = M[:-1, :-1], M[:-1, -1:], M[-1:, :-1], M[-1, -1]
+
+    def largest(size: float) -> float:
+        return np.linalg.norm(zw + (zp @ qw) * (size * phases / (1 - size * phases * qp))[:, None, None], 2, axis=(1, 2)).max()
+
+    low, high = 0.0, 1 / abs(qp)
+    for _ in range(30):
+        size = (low + high) / 2
+        low, high = (size, high) if largest(size) * size < 1 else (low, size)
+    assert value == pytest.approx(1 / low, rel=1e-5)  # of the grid of phases: (pi / 2000)^2 / 2 and less
+
+
+def test_not_of_a_law_without_linear_claim():
+    """A weight beside a semi-active law is refused, as there is no linear claim of it."""
+    text = (HERE / "quarter_car_semi_active.toml").read_text()
+    text += '[controllers.S]\nsemi_active = "skyhook"\ntolerance = { force = { weight = 0.1 } }\n'
+    with pytest.raises(InputError, match="there is no linear claim"):
+        parse_vehicle(text)
+
+
+def test_the_loop_closed_by_errors_is_a_linear_fraction():
+    """The response of a loop that errors close is M11 + M12 E (1 - M22 E)^-1 M21, feedthroughs included."""
+    for seed in (3, 6):  # which have some
+        loop = random_loop(seed, 2, True)
+        assert loop.loop.Dw.all()
+        errors = [_all_pass(0.1, angle, 2.0) for angle in (0.5, -2.0)]
+        closed = closed_by_errors(loop, errors)
+        assert closed is not None
+        omega = np.array([0.0, 1.0, 30.0])
+        for w, M, found in zip(omega, *(one.frequency_response(omega) for one in (loop.loop, closed)), strict=True):
+            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.B) + one.D)[0, 0] for one in errors])
+            whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
+            assert np.allclose(found, whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max())
