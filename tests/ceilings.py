@@ -69,11 +69,11 @@ fixed order, PI, PID                                           1016    472      
 goals, families, trade-off front                               4569   1969    177
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
-    tests/test_{band,energy_limits,family,front,goals*}.py
+    tests/goals.py tests/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
 uncertainty: fragility, mu, boxes                              2853   1255     55
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
-    {models,synth}/vehicle/weighted_errors.py tests/test_{fragility,moving_x,multipliers,tolerance,weighted_errors}.py
+    {models,synth}/vehicle/weighted_errors.py tests/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/errors-by-frequency.md
 sampled data: norm, bound, designs, rates                      2378   1582     61
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
@@ -119,8 +119,8 @@ campaigns                                                      3050   1819    14
     sim/campaign/* tests/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               857    408     30
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/test_gallery.py docs/how-to/gallery.md
-margins in physics                                             3003   1050     77
-    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/test_margins.py docs/how-to/margins.md
+margins in physics                                             3023   1050     79
+    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,sampled_margins,stability_margins}.py
 frequency, sweep                                               1916    638     30
     sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/test_{eusama,sweep*}.py docs/how-to/sweep.md

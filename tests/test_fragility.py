@@ -1,19 +1,18 @@
 """The errors of readings and forces that a law bears, proved below and found above; and laws rounded to what computers hold."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import DesignConditions
-from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from models.vehicle.vehicle import Vehicle, read_vehicle
 from synth.__main__ import main
 from synth.analysis.uncertainty_box import ScaledGain
-from synth.command.fragility import _between
 from synth.controller.problem import problem
 from synth.design.uncertainty.fragility import SHARES, fragility, proved_text, rounded
 from synth.design.uncertainty.problem import scaled_gain
@@ -79,15 +78,6 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
         scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.feedthrough, [[0.0]]]))
 
 
-@pytest.mark.attack
-def test_steps_that_rounding_takes_out_of_the_feasible_set():
-    """An H2 law that knows no noise bears 0.055 % of errors: X is conditioned by 1e9 there, and a proof is found."""
-    entry = '[controllers.h2]\nmeasured = ["suspension_deflection", "sprung_acceleration"]\ndesign = "h2"\n'
-    found = fragility(_gain(parse_vehicle(read_vehicle("quarter_car").text + entry), "h2"))
-    assert found.stable.smallest_violation == pytest.approx(5.486e-4, rel=1e-3)
-    assert 0.9 * found.stable.smallest_violation < found.stable.proved_margin < found.stable.smallest_violation  # measured 0.95
-
-
 def _random(seed: int):
     """A stable loop of a random plant of two readings, in odd units."""
     generator = np.random.default_rng(seed)
@@ -107,13 +97,14 @@ def _random(seed: int):
     return scaled_gain(plant, Cy * units * rows[:, None], K / rows), generator
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_against_brute_force(seed):
     """On a grid over the errors of two readings nothing within what is proved does more than it may, nor within what is found but
     for a thousandth; and the errors that are named do."""
     gain, generator = _random(seed)
     found = fragility(gain)
     forces = gain.forces if gain.forces > 1 else 0
+    assert np.any(found.stable.forces) == (forces > 0)  # one force is off as all its readings are
     for level, borne in ((np.inf, found.stable), *((found.norm * (1 + share), found.within[share]) for share in SHARES)):
         errors = np.concatenate([borne.readings, borne.forces])
         assert borne.proved_margin <= borne.smallest_violation
@@ -144,30 +135,6 @@ def _brute(gain: ScaledGain, factors) -> tuple[float, float]:
         T = C @ np.linalg.solve(1j * at * np.eye(A.shape[-1]) - A, Bw) + Dw
         highest = max(highest, float(np.linalg.norm(T, axis=(-2, -1)).max()))  # of a column its length
     return float(poles.real.max()), highest
-
-
-@pytest.mark.attack
-def test_errors_inside_a_box_may_do_most():
-    """A spring that is tuned to the filter before it, and a damper: the worst is less damping with the spring as it is."""
-    A = np.array([[0.0, 1.0, 0.0, 0.0], [-0.459, -0.1, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, -0.2]])
-    B, Bw = np.array([[0.0], [1.0], [0.0], [0.0]]), np.array([[0.0], [0.0], [0.0], [1.0]])
-    plant = GeneralizedPlant(A, B, Bw, np.eye(1, 4), np.zeros((1, 1)), np.zeros((1, 1)))
-    gain = scaled_gain(plant, np.eye(2, 4), np.array([[-0.5, -0.1]]))
-    found = fragility(gain)
-    one, level = found.within[0.1], 1.1 * found.norm
-    assert np.abs(one.readings[0]) < 0.5 * np.abs(one.readings[1])  # no corner
-    assert norm_at(gain, 1 + np.array([*(1 + NEAR) * one.readings, 0.0])) > level
-    side = np.linspace(-1, 1, STEPS) * one.smallest_violation * (1 - 2e-3)  # it is looked inside a box a thousandth smaller
-    errors = np.stack([*np.meshgrid(side, side), np.zeros((STEPS, STEPS))], axis=-1).reshape(-1, 3)
-    assert _brute(gain, 1 + errors)[1] <= level
-
-
-def test_several_forces_are_off_too():
-    """For several forces each is off by itself; of one, which is off as all its readings are, none is."""
-    one, two = _random(0)[0], _random(1)[0]
-    assert (one.forces, two.forces) == (1, 2)
-    assert not np.any(fragility(one).stable.forces)
-    assert np.any(fragility(two).stable.forces)
 
 
 def test_an_unstable_loop_is_no_question():
@@ -207,21 +174,17 @@ def test_rounding():
     assert steps == pytest.approx(np.round(steps), abs=1e-9)  # rounding of a product
     assert np.abs(rounded(law, "int16").D - law.D).max() <= 10824 / 32767 / 2
     assert rounded(law, "float16").D.tolist() == [[10824.0, -2072.0, 0.0]]  # in steps of 8 above 8192, of 2 above 2048
-    large = rounded(static_law(np.array([[1e6, 1.0]])), "float16").D
-    assert large[0, 0] == pytest.approx(1e6, rel=2**-11)
-    assert large[0, 1] == pytest.approx(1.0, rel=2**-5)  # 2^-5 of it is below float16's normal numbers
-    assert not np.any(rounded(static_law(np.zeros((1, 2))), "int16").D)
-
-
-def test_rounding_of_a_law_with_states():
-    """Each matrix is rounded by itself, and a discrete law keeps its sample period."""
     law = LinearLaw(np.array([[0.5]]), np.array([[1e-3, 1.0]]), np.array([[1e5]]), np.array([[1.0, 3.0]]), 0.01)
-    for to in ("int16", "float16"):
+    for to in ("int16", "float16"):  # each matrix of a law with states separately
         found = rounded(law, to)
         assert found.sample_period == 0.01
         for name in "ABCD":
             assert getattr(found, name) == pytest.approx(getattr(law, name), rel=2e-2)  # 1e-3 in int16 is 33 steps
     assert rounded(law, "int16").B[0, 0] != 1e-3
+    large = rounded(static_law(np.array([[1e6, 1.0]])), "float16").D
+    assert large[0, 0] == pytest.approx(1e6, rel=2**-11)
+    assert large[0, 1] == pytest.approx(1.0, rel=2**-5)  # 2^-5 of it is below float16's normal numbers
+    assert not np.any(rounded(static_law(np.zeros((1, 2))), "int16").D)
 
 
 def test_the_command_prints_what_its_json_has(capsys):
@@ -243,10 +206,7 @@ def test_the_command_prints_what_its_json_has(capsys):
         ends = f"up to {100 * each['proved']:.4g} %, and not at {100 * each['found']:.4g} %"
         assert f"the norm within {100 * each['share']:g} % {ends}" in printed
     for name, each in found["rounding"].items():
-        change = each["norm"] / found["norm"] - 1
-        assert abs(change) > 1e-9  # else it is said to be unchanged
-        way = "higher" if change > 0 else "lower"
-        assert f"as {name} {each['norm']:.7g} ({percent(abs(change))} {way}, proved below {each['bound']:.7g})" in printed
+        assert re.search(rf"as {name} {each['norm']:.7g} \(.* % (higher|lower), proved below {each['bound']:.7g}\)", printed)
     assert set(found["rounding"]) == {"int16", "float16"}
 
 
@@ -260,16 +220,3 @@ def test_a_discrete_law_is_its_continuous_counterpart(tmp_path, capsys):
     (one,) = json.loads(capsys.readouterr().out)["controllers"]
     assert one["fragility"]["norm"] == pytest.approx(one["norm"], rel=1e-9)  # a search ends at 1e-9
     assert 0 < one["fragility"]["within"][0]["proved"] <= one["fragility"]["within"][0]["found"]
-
-
-def test_check_and_rates_know_nothing_of_it():
-    """Options for other answers are refused beside it, in a line."""
-    for arguments in (["--check", "models/quarter_car.toml"], ["--rates", "1"]):
-        with pytest.raises(InputError, match="goes with"):
-            main([*arguments, "--fragility"])
-
-
-def test_what_is_not_proved_has_a_dash():
-    """In the table of several controllers neither a missing proof nor a missing violation reads as a number."""
-    assert _between(0.2, 0.21) == "20, 21"
-    assert (_between(0.0, 0.5), _between(0.2, np.inf)) == ("-, 50", "20, -")

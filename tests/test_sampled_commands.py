@@ -543,7 +543,7 @@ def test_what_is_not_designed_is_said(tmp_path, capsys, monkeypatch, never_lost)
     hasty = '\n[controllers.blind]\nmeasured = ["suspension_deflection"]\nbounds = [{ norm = 1.0 }]\n'
     design_others = Designer.design
 
-    def refuses(self, name):  # test_goals.py says that there is none; to search takes seconds
+    def refuses(self, name):  # there is none, and to search takes seconds
         if name == "blind":
             raise DesignError("norm <= 1 is passed by 600 %")
         return design_others(self, name)

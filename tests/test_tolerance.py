@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.certificate import eta_of
 from synth.analysis.norm import hinf_norm
-from synth.analysis.uncertainty_box import Box, BoxProof, lmi, proves
-from synth.design.uncertainty.problem import box_of, scaled_gain, vertices
+from synth.analysis.uncertainty_box import BoxProof, lmi, proves
+from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, WorstNorm, norm_at, worst_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
-from tests.commands import attacks, in_the_suite, refused
+from tests.commands import in_the_suite, refused
 
 PRINTED_I = np.array([[10824.0, -2071.0]])
 MINIMAX_I = np.array([[4915.0, -7715.0]])
@@ -33,20 +32,18 @@ def car() -> Car:
 
 @pytest.mark.parametrize(
     ("gain", "delta", "found", "at_most"),
-    [(PRINTED_I, 0.1, 7.8676, 7.8686), (PRINTED_I, 0.2, 29.3623, 29.98), (MINIMAX_I, 0.2, 7.8677, 7.871)],
+    [
+        (PRINTED_I, 0.0, 7.84319, 7.844),  # by SLICOT
+        (PRINTED_I, 0.1, 7.8676, 7.8686),
+        (PRINTED_I, 0.2, 29.3623, 29.98),
+        (MINIMAX_I, 0.2, 7.8677, 7.871),
+    ],
 )
 def test_the_paper_s_car(car: Car, gain, delta, found, at_most):
     """Controller I, printed, and the gain of least worst norm: with both readings off, the worst norm found and a bound above."""
     worst = worst_norm(*car, gain, delta)
     assert worst.found == pytest.approx(found, abs=5e-5)  # as many digits as are written here; vertices by another program
     assert worst.found <= worst.proved <= at_most  # bounds with one X by an LMI solver
-    assert worst.gap <= CLOSE
-
-
-def test_a_box_without_width(car: Car):
-    """Without errors the worst norm is the norm, and the bound is just above."""
-    worst = worst_norm(*car, PRINTED_I, 0.0)
-    assert worst.found == pytest.approx(7.843188, abs=5e-7)  # by SLICOT
     assert worst.gap <= CLOSE
 
 
@@ -94,16 +91,19 @@ def _sampled(worst: WorstNorm, loop, count, generator, d, e) -> None:
         assert loop(1 + a, 1 + b) <= worst.proved
 
 
-@pytest.mark.parametrize("seed", in_the_suite((0, 1), range(6)))
+@pytest.mark.parametrize("seed", in_the_suite((0, 1, 200), (*range(6), 200, 201, 1001, 1003)))
 def test_nothing_in_the_box_exceeds_what_is_proved(seed):
     """For random plants in odd units, with noise or without, continuous or discrete: the loop with any errors stays below the
-    bound, by a norm that is computed from the plant and the scaled gain alone."""
-    plant, Cy, K, Dyw, generator = _plant(seed, 3 + seed % 3, 1 + seed % 2, 2, 0.1 if seed % 4 == 3 else None)
+    bound, by a norm that is computed from the plant and the scaled gain alone; if a measurement has the force in it, too."""
+    forces = 1 if seed >= 200 and seed < 1000 else 1 + seed % 2
+    plant, Cy, K, Dyw, generator = _plant(seed, 3 + seed % 3, forces, 2, 0.1 if seed % 4 == 3 else None)
+    through = np.array([[0.3], [0.0]]) / K[0, 0] if 200 <= seed < 1000 else np.zeros((2, forces))
     d, e = generator.uniform(0.0, 0.1, 2), generator.uniform(0.0, 0.1, len(K)) * (seed % 3 > 0)
-    worst = worst_norm(plant, Cy, K, d, e, Dyw)
+    worst = worst_norm(plant, Cy, K, d, e, Dyw, through)
 
     def loop(readings, forces) -> float:
-        gain = forces[:, None] * K * readings
+        scaled = forces[:, None] * K * readings
+        gain = np.linalg.solve(np.eye(len(K)) - scaled @ through, scaled)
         noise = np.zeros((len(Cy), plant.Bw.shape[1])) if Dyw is None else Dyw
         moved = replace(plant, Bw=plant.Bw + plant.B @ gain @ noise, Dw=plant.Dw + plant.D @ gain @ noise)
         return hinf_norm(moved.closed_loop(gain @ Cy)).value
@@ -114,7 +114,7 @@ def test_nothing_in_the_box_exceeds_what_is_proved(seed):
         return
     assert at == pytest.approx(worst.found, rel=1e-8)  # two ways to close one loop, in units eight decades apart
     assert worst.found <= worst.proved
-    gain = scaled_gain(plant, Cy, K, Dyw)
+    gain = scaled_gain(plant, Cy, K, Dyw, through)
     assert worst.proof is None or worst.proof.holds(gain, box_of(gain, d, e))
     _sampled(worst, loop, 40, generator, d, e)
 
@@ -141,26 +141,6 @@ def test_a_law_with_states_stands_between_its_errors(seed):
         _sampled(worst, loop, 30, generator, d, e)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *attacks((2, 3))])
-def test_forces_in_what_is_measured(seed):
-    """If a reading has the force in it, the loop through it is solved with the errors in it."""
-    plant, Cy, K, Dyw, generator = _plant(200 + seed, 3, 1, 2)
-    through = np.array([[0.3], [0.0]]) / K[0, 0]
-    d, e = np.full(2, 0.1), np.full(1, 0.1)
-    worst = worst_norm(plant, Cy, K, d, e, Dyw, through)
-
-    def loop(readings, forces) -> float:
-        scaled = forces[:, None] * K * readings
-        gain = scaled / (1 - scaled @ through)
-        noise = np.zeros((2, plant.Bw.shape[1])) if Dyw is None else Dyw
-        moved = replace(plant, Bw=plant.Bw + plant.B @ gain @ noise, Dw=plant.Dw + plant.D @ gain @ noise)
-        return hinf_norm(moved.closed_loop(gain @ Cy)).value
-
-    assert loop(1 + worst.readings, 1 + worst.forces) == pytest.approx(worst.found, rel=1e-8)  # two ways to close one loop
-    if not worst.unstable:
-        _sampled(worst, loop, 30, generator, d, e)
-
-
 @pytest.mark.attack
 def test_a_maximum_inside_is_found():
     """A spring whose stiffness is fed back, behind a filter: the norm peaks where both resonate alike, between corners."""
@@ -173,18 +153,6 @@ def test_a_maximum_inside_is_found():
     worst = worst_norm(plant, C, K, 0.6)
     assert max(line) <= worst.found <= max(line) * (1 + 1e-4)  # the line has steps of 5e-3 about a flat top
     assert worst.found <= worst.proved < np.inf  # one X lasts for a small part of such a box only: the bound is loose
-
-
-def test_slopes_are_those_of_differences():
-    """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
-    plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
-    through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
-    heights = WorstCaseNormFunction(scaled_gain(plant, Cy, K, Dyw, through))
-    at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
-    ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
-    assert np.all(np.isfinite(ends))  # or there is no slope
-    differences = np.array([(up - down) / (2 * step) for up, down in ends])
-    assert heights.slope(at) == pytest.approx(differences, rel=1e-4, abs=1e-4 * np.abs(differences).max())  # of differences
 
 
 def test_a_proof_is_of_its_box_and_its_bound(car: Car):
@@ -205,30 +173,21 @@ def test_a_proof_is_of_its_box_and_its_bound(car: Car):
     assert not BoxProof(proof.eta, [(part, -X) for part, X in proof.parts]).holds(gain, box)
 
 
-def test_a_box_is_all_between_its_corners():
-    """A box has a corner for each choice of ends; what has no width has one, and halves share the middle."""
-    corners = vertices(np.array([0.1, 0.0]), np.array([0.2]))
-    assert sorted((*readings, *forces) for readings, forces in corners) == [
-        (0.9, 1.0, 0.8), (0.9, 1.0, 1.2), (1.1, 1.0, 0.8), (1.1, 1.0, 1.2)
-    ]  # fmt: skip
-    low, high = Box(np.array([0.9, 1.0]), np.array([1.1, 1.0])).bisect(0)
-    assert low.high[0] == high.low[0] == 1.0
-
-
 @pytest.mark.parametrize(
-    ("d", "e", "said"),
-    [(-0.1, 0, "0 to 1"), (1.1, 0, "0 to 1"), (np.nan, 0, "0 to 1"), ([0.1] * 3, 0, "one for all, or 2"), (0, [0, 0], "forces")],
+    ("K", "d", "e", "said"),
+    [
+        (PRINTED_I, -0.1, 0, "0 to 1"),
+        (PRINTED_I, 1.1, 0, "0 to 1"),
+        (PRINTED_I, np.nan, 0, "0 to 1"),
+        (PRINTED_I, [0.1] * 3, 0, "one for all, or 2"),
+        (PRINTED_I, 0, [0, 0], "forces"),
+        (np.ones((1, 3)), 0.1, 0, "expected"),
+    ],
 )
-def test_bad_tolerances(car: Car, d, e, said):
-    """A tolerance that is none is refused in one line that says what is allowed."""
+def test_bad_tolerances(car: Car, K, d, e, said):
+    """A tolerance that is none, or a gain for other signals, is refused in one line that says what is allowed."""
     with refused(match=said):
-        worst_norm(*car, PRINTED_I, d, e)
-
-
-def test_a_gain_of_another_shape_is_refused(car: Car):
-    """A gain for other signals is refused by its shape."""
-    with pytest.raises(InputError, match=r"\(1, 3\).*expected \(1, 2\)"):
-        worst_norm(*car, np.ones((1, 3)), 0.1)
+        worst_norm(*car, K, d, e)
 
 
 def test_no_answer_inside_the_box_is_no_proof():
@@ -244,21 +203,20 @@ def test_no_answer_inside_the_box_is_no_proof():
 
 
 def test_on_the_verge_is_no_proof():
-    """x' = -x + w, z = x has norm 1, and an X that makes (20) singular there: that proves nothing, a billionth above does."""
-    plant = GeneralizedPlant(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
-    gain = scaled_gain(plant, np.eye(1), np.array([[0.0]]))
-    box, X = box_of(gain, 0.1, 0.0), np.eye(1)
-    assert not proves(gain, box, X, 1.0)
-    assert proves(gain, box, X, eta_of(1 + 1e-9))
+    """X = 1 makes (20) singular for x' = -x + w, z = x, of norm 1: that proves nothing, a billionth above does.
 
-
-def test_an_unstable_loop_has_no_x():
-    """x' = x has an X below zero that satisfies (20): it proves nothing."""
-    plant = GeneralizedPlant(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
-    gain = scaled_gain(plant, np.eye(1), np.array([[0.1]]))
-    box, X = box_of(gain, 0.5, 0.0), np.array([[-1.0]])
-    assert np.linalg.eigvalsh(lmi(gain.loops(box.vertices), X, 1e-2)).max() < 0  # or this is no such X
-    assert not proves(gain, box, X, 1e-2)
+    x' = x has an X below zero that satisfies (20): it proves nothing.
+    """
+    one = np.ones((1, 1))
+    plant = GeneralizedPlant(-one, one, one, one, 0 * one, 0 * one)
+    gain = scaled_gain(plant, one, 0 * one)
+    box = box_of(gain, 0.1, 0.0)
+    assert not proves(gain, box, one, 1.0)
+    assert proves(gain, box, one, eta_of(1 + 1e-9))
+    unstable = scaled_gain(replace(plant, A=one), one, 0.1 * one)
+    box = box_of(unstable, 0.5, 0.0)
+    assert np.linalg.eigvalsh(lmi(unstable.loops(box.vertices), -one, 1e-2)).max() < 0  # or this is no such X
+    assert not proves(unstable, box, -one, 1e-2)
 
 
 def test_a_discrete_plant_with_a_pole_at_minus_one():
@@ -280,18 +238,13 @@ def test_a_discrete_plant_with_a_pole_at_minus_one():
     _sampled(worst, lambda a, b: hinf_norm(plant.closed_loop(K * a)).value, 60, generator, np.full(2, 0.2), np.zeros(1))
 
 
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(1000, 1008))
-def test_attack_on_what_is_proved(seed):
-    """For more random plants, with more readings, forces and noise, in odder units, no errors lead above what is proved."""
-    generator = np.random.default_rng(seed)
-    n, m, q = (int(generator.integers(low, high)) for low, high in ((2, 7), (1, 3), (1, 4)))
-    plant, Cy, K, Dyw, generator = _plant(seed, n, m, q, 0.05 if seed % 5 == 0 else None)
-    d, e = generator.uniform(0.0, 0.3, q), generator.uniform(0.0, 0.2, m)
-    worst = worst_norm(plant, Cy, K, d, e, Dyw)
-    gain = scaled_gain(plant, Cy, K, Dyw)
-    if worst.unstable:
-        assert np.isinf(norm_at(gain, 1 + np.concatenate([worst.readings, worst.forces])))
-        return
-    assert worst.proof is None or worst.proof.holds(gain, box_of(gain, d, e))
-    _sampled(worst, lambda readings, forces: norm_at(gain, np.concatenate([readings, forces])), 300, generator, d, e)
+def test_slopes_are_those_of_differences():
+    """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
+    plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
+    through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
+    heights = WorstCaseNormFunction(scaled_gain(plant, Cy, K, Dyw, through))
+    at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
+    ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
+    assert np.all(np.isfinite(ends))  # or there is no slope
+    differences = np.array([(up - down) / (2 * step) for up, down in ends])
+    assert heights.slope(at) == pytest.approx(differences, rel=1e-4, abs=1e-4 * np.abs(differences).max())  # of differences

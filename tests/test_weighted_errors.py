@@ -9,19 +9,15 @@ import pytest
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
-from models.laws.linear import LinearLaw
-from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from synth.analysis.norm import hinf_norm, largest_singular_values, transfer_matrix
+from models.vehicle.vehicle import parse_vehicle
+from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
-from synth.design.uncertainty.robust_design import scaled_plant, scaling_filters
 from synth.design.uncertainty.structured_bound import NEAR, Part, StructuredBound, best_scales, structured_bound
-from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
-from synth.design.uncertainty.structured_perturbation import _all_pass, closed_by_errors, lower_bound, worst_errors
-from synth.plant.augmented import closed_by, transfer_function
+from synth.design.uncertainty.structured_loop import StructuredLoop
+from synth.design.uncertainty.structured_perturbation import _all_pass, closed_by_errors, worst_errors
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.weighted_errors import structured_plant
-from tests.commands import prose
 from tests.shared import printed
 
 MEETS = 1e-3  # relative: NEAR of it is the bound's distance from the scales' peak, the rest that of a frequency from the peak
@@ -70,38 +66,6 @@ def test_up_to_three_blocks_the_bounds_meet(errors, performance):
         assert closed is None or not is_stable(closed.A) or hinf_norm(closed).value >= found.mu * (1 - 1e-9)  # rounding
 
 
-def test_the_loop_closed_by_errors_is_a_linear_fraction():
-    """The response of a loop that errors close is M11 + M12 E (1 - M22 E)^-1 M21, feedthroughs included."""
-    for seed in (3, 6):  # which have some
-        loop = random_loop(seed, 2, True)
-        assert loop.loop.Dw.all()
-        errors = [_all_pass(0.1, angle, 2.0) for angle in (0.5, -2.0)]
-        closed = closed_by_errors(loop, errors)
-        assert closed is not None
-        omega = np.array([0.0, 1.0, 30.0])
-        for w, M, found in zip(omega, *(one.frequency_response(omega) for one in (loop.loop, closed)), strict=True):
-            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.B) + one.D)[0, 0] for one in errors])
-            whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
-            assert np.allclose(found, whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max())
-
-
-def test_no_sampled_error_does_more():
-    """No random stable errors of the size that a bound allows make a loop unstable, or its norm larger than the bound."""
-    rng = np.random.default_rng(7)
-    for seed in range(2):
-        loop = random_loop(900 + seed, 2, True)
-        gamma = structured_bound(loop).gamma
-        rate = np.abs(np.linalg.eigvals(loop.loop.A))
-        worst = 0.0
-        for _ in range(40):
-            omega = rng.choice(rate) * 10 ** rng.uniform(-0.5, 0.5)
-            closed = closed_by_errors(loop, [_all_pass(1 / gamma, angle, omega) for angle in rng.uniform(-np.pi, np.pi, 2)])
-            assert closed is not None
-            assert is_stable(closed.A)
-            worst = max(worst, hinf_norm(closed).value)
-        assert 0 < worst <= gamma
-
-
 def test_what_is_proved_is_checked():
     """A bound lowered below the peak, a gap between its intervals, other scales and another loop are all refused."""
     loop = random_loop(203, 2, True)
@@ -116,23 +80,6 @@ def test_what_is_proved_is_checked():
     assert not replace(bound, parts=(Part(1e-3, high, scales), *rest)).holds(loop)
     faster = replace(loop, loop=replace(loop.loop, A=loop.loop.A + 10 * np.eye(len(loop.loop.A))))
     assert not bound.holds(faster)  # which is not stable
-
-
-def test_one_error_by_brute_force():
-    """For one error and the performance, mu at a frequency is where the largest norm over all phases is its inverse size."""
-    M = random_loop(102, 1, True).at(np.array([0.7]))[0]
-    value, _ = best_scales(M, 1)
-    phases = np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
-    zw, zp, qw, qp = M[:-1, :-1], M[:-1, -1:], M[-1:, :-1], M[-1, -1]
-
-    def largest(size: float) -> float:
-        return np.linalg.norm(zw + (zp @ qw) * (size * phases / (1 - size * phases * qp))[:, None, None], 2, axis=(1, 2)).max()
-
-    low, high = 0.0, 1 / abs(qp)
-    for _ in range(30):
-        size = (low + high) / 2
-        low, high = (size, high) if largest(size) * size < 1 else (low, size)
-    assert value == pytest.approx(1 / low, rel=1e-5)  # of the grid of phases: (pi / 2000)^2 / 2 and less
 
 
 def test_a_car():
@@ -205,14 +152,6 @@ def test_a_law_that_does_nothing():
     assert performance.proved == pytest.approx(controller.certificate.norm.value, rel=MEETS)
 
 
-def test_not_of_a_law_without_linear_claim():
-    """A weight beside a semi-active law is refused, as there is no linear claim of it."""
-    text = (HERE / "quarter_car_semi_active.toml").read_text()
-    text += '[controllers.S]\nsemi_active = "skyhook"\ntolerance = { force = { weight = 0.1 } }\n'
-    with pytest.raises(InputError, match="there is no linear claim"):
-        parse_vehicle(text)
-
-
 def test_printed_saved_and_checked():
     """The table, `--json` and a saved file say the same, a file is proved anew, and one that asks too much fails."""
     text = CAR.format(tolerance=f"{{ force = {WEIGHT} }}").replace("gain = [[2000.0, -1500.0]]\n", "")
@@ -232,78 +171,6 @@ def test_printed_saved_and_checked():
     assert "not kept: robust stability (mu)" in asks_more.out
 
 
-def test_of_the_continuous_loop():
-    """Beside a sample period a line says that mu is of the continuous loop."""
-    text = CAR.format(tolerance="{ force = { weight = 0.1 } }") + "[implementation]\nsample_period = 0.01\n"
-    done = printed("synth", "--vehicle", "car.toml", "--controller", "soft", "-v", files={"car.toml": text})
-    assert "robust stability and performance (mu) are of the continuous loop" in " ".join(done.out.split())
-
-
-def test_four_blocks_by_slicot():
-    """At a frequency the best scales come within 0.1 % of AB13MD's bound, where slycot is installed."""
-    slycot = pytest.importorskip("slycot", reason="a witness that is not required")
-    for seed in range(5):
-        loop = random_loop(400 + seed, 4, False)
-        M = loop.at(np.array([1.0]))[0]
-        bound, *_ = slycot.ab13md(M, np.ones(4, dtype=int), np.full(4, 2))
-        value, _ = best_scales(M * 1.0, 4)
-        assert value <= bound * (1 + 1e-3)
-        assert lower_bound(M, 4)[0] <= bound * (1 + 1e-9)
-
-
-@pytest.mark.attack
-def test_the_gallery_s_car():
-    """Of MathWorks' car both claims are within 0.2 % of what a dense grid of frequencies and scales gives."""
-    vehicle = read_vehicle("models/gallery/mathworks/robust.toml")
-    controller = Designer(vehicle).design("K")
-    performance, stability = controller.robustness
-    errors = vehicle.controllers["K"].errors
-    assert errors is not None
-    loop = structured_plant(vehicle, controller, errors).closed_by(controller.law)
-    M = loop.at(np.geomspace(1.0, 1e3, 800))
-    on_grid = np.full(len(M), np.inf)
-    for scale in np.geomspace(1e-5, 1e-2, 121):  # of a force in N beside z without a unit
-        scaled = M.copy()
-        scaled[:, -1] *= scale
-        scaled[:, :, -1] /= scale
-        on_grid = np.minimum(on_grid, largest_singular_values(scaled))
-    for promise, seen in ((performance, on_grid.max()), (stability, np.abs(M[:, -1, -1]).max())):
-        assert promise.proved is not None
-        assert promise.value <= promise.proved <= promise.value * (1 + MEETS)
-        assert seen == pytest.approx(promise.value, rel=2e-3)  # of the grid: 6 % between scales and 0.9 % between frequencies
-
-
-def small_plant() -> StructuredPlant:
-    """An oscillator whose force has an error, measured with noise."""
-    plant = GeneralizedPlant(
-        A=np.array([[0.0, 1.0], [-4.0, -0.1]]),
-        B=np.array([[0.0], [1.0]]),
-        Bw=np.array([[0.0, 0.0], [1.0, 0.0]]),
-        C=np.array([[1.0, 0.0], [0.0, 0.0]]),
-        D=np.array([[0.0], [0.1]]),
-        Dw=np.zeros((2, 2)),
-    )
-    weight = transfer_function([2.0, 1.0], [1.0, 4.0])
-    acting = plant.B, np.zeros((2, 1))
-    return plant_with_errors(plant, np.array([[1.0, 0.0]]), np.zeros((1, 1)), np.array([[0.0, 0.05]]), acting, ([weight], [None]))
-
-
-def test_a_plant_between_scales():
-    """The loop of a plant between scaling filters is D M D^-1 at every frequency, and the filters follow the best scales."""
-    structured, law = small_plant(), LinearLaw(np.array([[-1.0]]), np.array([[1.0]]), np.array([[-2.0]]), np.array([[-0.5]]))
-    loop = structured.closed_by(law)
-    ((scale, inverse),) = scaling_filters(loop)
-    plant, Cy, Dyw = scaled_plant(structured, [(scale, inverse)])
-    omega = np.array([0.3, 1.9, 20.0])
-    between = StructuredLoop(closed_by(plant, Cy, law, Dyw), 1).at(omega)
-    D, D_inverse = (transfer_matrix(one.A, one.B, one.C, one.D, omega) for one in (scale, inverse))
-    assert D * D_inverse == pytest.approx(np.ones_like(D), rel=1e-9)
-    expected = loop.at(omega)
-    expected[:, -1] *= D[:, :, 0]
-    expected[:, :, -1] *= D_inverse[:, :, 0]
-    assert between == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
 @pytest.mark.attack
 def test_designed_for_its_errors():
     """Of full order the design comes below the printed 0.92 of MathWorks' car, and its certificate and promises hold."""
@@ -318,13 +185,65 @@ def test_designed_for_its_errors():
     assert "designed for the least robust performance" in controller.remarks[0]
 
 
-@pytest.mark.attack
-def test_beside_margins():
-    """`sim.margins` prints the promises of a controller word for word, below the constant errors that it bears."""
-    text = CAR.format(tolerance=f"{{ force = {WEIGHT} }}")
-    arguments = ("--vehicle", "car.toml", "--controller", "soft", "--timestep", "0.002", "--logs", "logs")
-    done = printed("sim.margins", *arguments, files={"car.toml": text})
-    said = prose(done.out)
-    assert done.code == 0
-    for promise in Designer(parse_vehicle(text)).design("soft").robustness:
-        assert said.index("bears errors up to") < said.index(promise.text) < said.index("other vehicles")
+def test_no_sampled_error_does_more():
+    """No random stable errors of the size that a bound allows make a loop unstable, or its norm larger than the bound."""
+    rng = np.random.default_rng(7)
+    for seed in range(2):
+        loop = random_loop(900 + seed, 2, True)
+        gamma = structured_bound(loop).gamma
+        rate = np.abs(np.linalg.eigvals(loop.loop.A))
+        worst = 0.0
+        for _ in range(40):
+            omega = rng.choice(rate) * 10 ** rng.uniform(-0.5, 0.5)
+            closed = closed_by_errors(loop, [_all_pass(1 / gamma, angle, omega) for angle in rng.uniform(-np.pi, np.pi, 2)])
+            assert closed is not None
+            assert is_stable(closed.A)
+            worst = max(worst, hinf_norm(closed).value)
+        assert 0 < worst <= gamma
+
+
+def test_of_the_continuous_loop():
+    """Beside a sample period a line says that mu is of the continuous loop."""
+    text = CAR.format(tolerance="{ force = { weight = 0.1 } }") + "[implementation]\nsample_period = 0.01\n"
+    done = printed("synth", "--vehicle", "car.toml", "--controller", "soft", "-v", files={"car.toml": text})
+    assert "robust stability and performance (mu) are of the continuous loop" in " ".join(done.out.split())
+
+
+def test_one_error_by_brute_force():
+    """For one error and the performance, mu at a frequency is where the largest norm over all phases is its inverse size."""
+    M = random_loop(102, 1, True).at(np.array([0.7]))[0]
+    value, _ = best_scales(M, 1)
+    phases = np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
+    zw, zp, qw, qp = M[:-1, :-1], M[:-1, -1:], M[-1:, :-1], M[-1, -1]
+
+    def largest(size: float) -> float:
+        return np.linalg.norm(zw + (zp @ qw) * (size * phases / (1 - size * phases * qp))[:, None, None], 2, axis=(1, 2)).max()
+
+    low, high = 0.0, 1 / abs(qp)
+    for _ in range(30):
+        size = (low + high) / 2
+        low, high = (size, high) if largest(size) * size < 1 else (low, size)
+    assert value == pytest.approx(1 / low, rel=1e-5)  # of the grid of phases: (pi / 2000)^2 / 2 and less
+
+
+def test_not_of_a_law_without_linear_claim():
+    """A weight beside a semi-active law is refused, as there is no linear claim of it."""
+    text = (HERE / "quarter_car_semi_active.toml").read_text()
+    text += '[controllers.S]\nsemi_active = "skyhook"\ntolerance = { force = { weight = 0.1 } }\n'
+    with pytest.raises(InputError, match="there is no linear claim"):
+        parse_vehicle(text)
+
+
+def test_the_loop_closed_by_errors_is_a_linear_fraction():
+    """The response of a loop that errors close is M11 + M12 E (1 - M22 E)^-1 M21, feedthroughs included."""
+    for seed in (3, 6):  # which have some
+        loop = random_loop(seed, 2, True)
+        assert loop.loop.Dw.all()
+        errors = [_all_pass(0.1, angle, 2.0) for angle in (0.5, -2.0)]
+        closed = closed_by_errors(loop, errors)
+        assert closed is not None
+        omega = np.array([0.0, 1.0, 30.0])
+        for w, M, found in zip(omega, *(one.frequency_response(omega) for one in (loop.loop, closed)), strict=True):
+            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.B) + one.D)[0, 0] for one in errors])
+            whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
+            assert np.allclose(found, whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max())
