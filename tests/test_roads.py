@@ -183,15 +183,6 @@ def test_velocity_is_the_derivative(road, side):
     assert tested > 2
 
 
-def test_flat_is_flat():
-    """A flat road is nothing anywhere, and can be driven."""
-    road, t = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0), np.linspace(-1, 5, 100)
-    assert not road.displacement(t).any()
-    assert not road.velocity(t).any()
-    assert described_road(road.describe()) == road == road.scaled(0.1)
-    road.check(read_vehicle("quarter_car"), np.arange(10) * 1e-3)
-
-
 def test_two_tracks_cohere_as_isotropy_says():
     """Left and right have the same spectrum, and the real coherency x K_1(x), x = 2 pi n b, of an isotropic surface."""
     width = 1.5
@@ -233,6 +224,9 @@ def test_wheels_of_a_full_car():
 
 def test_shapes():
     """Obstacles are as high as they say where they say, and flat elsewhere."""
+    flat = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0)
+    assert not flat.displacement(np.linspace(-1, 5, 100)).any()
+    assert described_road(flat.describe()) == flat == flat.scaled(0.1)
     hump = WattsHump(height=0.075, length=3.7, speed=10.0)
     assert hump.displacement(np.array([-0.1, 0.0, 0.185, 0.37, 1.0])) == pytest.approx([0, 0, 0.075, 0, 0], abs=1e-12)
     quarter = hump.displacement(np.array([0.0925]))[0] + hump.radius - 0.075
@@ -283,8 +277,6 @@ def test_opencrg(tmp_path):
 INCREMENT, START, SECTION = "reference_line_increment", "reference_line_start_u", "D:long section 3,m"
 BAD_SURFACES = [  # (what stands in the file, what is put there, what is said)
     (rf"{INCREMENT} .*", f"{INCREMENT} = 1e400", f"{INCREMENT} = 1e400 is not allowed; from 1e-06 to 1000 m are"),
-    (rf"{INCREMENT} .*", f"{INCREMENT} = 1e-320", f"{INCREMENT} = 1e-320 is not allowed"),
-    (rf"{INCREMENT} .*", f"{INCREMENT} = nan", f"{INCREMENT} = nan is not allowed"),
     (rf"{START} .*", f"{START} = -inf", f"{START} = -inf is not allowed; numbers from -1e+09 to 1e+09 are"),
     ("line u,m,0,0.1", "line u,m,0,1e400", "channel 'reference line u,m,0,1e400': 1e400 is not allowed"),
     (SECTION, "D:long section x,m", "no OpenCRG file (could not convert string to float: 'x'); give an OpenCRG file"),
@@ -292,6 +284,21 @@ BAD_SURFACES = [  # (what stands in the file, what is put there, what is said)
     (r"(?s).{300}\Z", "", "no OpenCRG file (unexpected end of text data (last record is incomplete: truncated file?)); give"),
     (r"\$KD_DEF", "$ROAD_CRG_FILE\n/dev/zero\n$\n$KD_DEF", "its data are in another file, that it names; give that one"),
 ]
+
+
+@pytest.mark.extra
+@pytest.mark.parametrize("form", ["LDFI", "KRBI"])
+def test_cut_opencrg(tmp_path, form):
+    """A surface that was cut between two cross-sections, where the reader warns only, or anywhere else is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
+    content = path.read_bytes()
+    data = content.index(b"\n", content.index(b"$$$$$$$$$$")) + 1
+    for cut in (data, data + 80, data + 160, (data + len(content)) // 2, len(content) - 7):
+        path.write_bytes(content[:cut])
+        with refused(f"road file {path}: "):
+            choose_road("road.crg", tmp_path)
 
 
 @pytest.mark.extra
@@ -307,45 +314,7 @@ def test_bad_opencrg(tmp_path, old, new, said):
     assert changed != content, "the test changes what is there"
     choose_road("road.crg", tmp_path)
     path.write_text(changed)
-    with pytest.raises(InputError) as error:
-        choose_road("road.crg", tmp_path)
-    assert str(error.value).startswith(f"road file {path}: {said}")
-    assert len(str(error.value).splitlines()) == 1
-
-
-@pytest.mark.extra
-@pytest.mark.parametrize("form", ["LDFI", "LRFI", "KDBI", "KRBI"])
-@pytest.mark.parametrize("increment", ["reference_line_increment", "reference line u"])
-def test_cut_opencrg(tmp_path, form, increment):
-    """A surface that was cut is refused wherever the cut is, also between two cross-sections, where the reader warns only."""
-    pyopencrg = pytest.importorskip("pyopencrg")
-    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
-    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
-    content = path.read_bytes()
-    keep = "reference line u" if increment == "reference_line_increment" else "reference_line_increment"
-    content = b"\n".join(line for line in content.split(b"\n") if keep.encode() not in line) if form.endswith("FI") else content
-    path.write_bytes(content)
-    assert choose_road("road.crg", tmp_path).surface is not None
-    data = content.index(b"$$$$$$$$$$")
-    data = content.index(b"\n", data) + 1
-    cuts = range(data, len(content) - 1)
-    if form.endswith("FI"):  # also at every end of a line; the last one is none
-        ends = [i + 1 for i in cuts if content[i : i + 1] == b"\n"]
-    else:
-        ends = [data + i for i in range(80, len(content) - data, 80)]
-    for cut in [*ends, *np.random.default_rng(2).integers(data, len(content) - 1, 20).tolist()]:
-        path.write_bytes(content[:cut])
-        with pytest.raises(InputError, match=f"^road file {path}: "):
-            choose_road("road.crg", tmp_path)
-
-
-@pytest.mark.extra
-def test_large_opencrg(tmp_path):
-    """An OpenCRG file that would fill the memory is refused before it is read; it says how large it may be."""
-    pytest.importorskip("pyopencrg")
-    with (tmp_path / "road.crg").open("wb") as file:
-        file.truncate(300 * 2**20)  # it takes no space on the disk
-    with pytest.raises(InputError, match=r"is too large, 300 MiB; at most 128 MiB is read: give a part of it"):
+    with refused(f"road file {path}: {said}"):
         choose_road("road.crg", tmp_path)
 
 
@@ -366,7 +335,6 @@ def test_opencrg_in_parts(tmp_path, monkeypatch):
     ("content", "settings"),
     [
         ("0;0\n0,5;0,02\n1;-0,01\n1,5;0\n", ""),
-        ("0\t0\n0.5\t0.02\n1\t-0.01\n1.5\t0\n", ""),
         ("0\t0\n0,5\t0,02\n1\t-0,01\n1,5\t0\n", ":separator=tab"),
         ("  0 0\n  0.5   0.02\n1 -0.01\n1.5 0\n", ""),
         ("surveyed by hand\nA 8\ndistance, height\n# in metres\n0,0\n0.5,0.02\n\n1,-0.01\n1.5,0\n", ""),
@@ -375,7 +343,6 @@ def test_opencrg_in_parts(tmp_path, monkeypatch):
         ("0,431\n0.5,431.02\n1,430.99\n1.5,431\n", ""),
         ("7,0,9,0\n7,.5,9,.02\n7,1,9,-.01\n7,1.5,9,0\n", ":columns=2,4"),
         ("0,0,9,0,\n.5,.02,9,.02,\n1,-.01,9,-.01,\n1.5,0,9,0,\n", ":columns=1,2,4"),
-        ("0\r\n".replace("0", "0,0") + "0.5,0.02\r\n1,-0.01\r\n1.5,0\r\n", ""),
     ],
 )
 def test_a_file_as_people_have_them(tmp_path, content, settings):
@@ -391,29 +358,25 @@ def test_a_file_as_people_have_them(tmp_path, content, settings):
 
 HEADED = [  # (what stands above, how the numbers are read without it: columns and metres of distance, left, right; options)
     ("distance,left,right", (0, 1, 2), (1, 1, 1), ""),
-    ("distance,right,left", (0, 2, 1), (1, 1, 1), ""),
-    ("right,left,distance", (2, 1, 0), (1, 1, 1), ""),
     ("Distance [ft],Right wheel path [cm],Left wheel path [in]", (0, 2, 1), (0.3048, 0.0254, 0.01), ""),
     ("x (m),right (mm),left (mm)", (0, 2, 1), (1, 1e-3, 1e-3), ""),
-    ("station_ft,l_in,r_in", (0, 1, 2), (0.3048, 0.0254, 0.0254), ""),
     ("distance,left,right\nm,mm,cm", (0, 1, 2), (1, 1e-3, 1e-2), ""),
     ('"chainage / km","left height / mm","right height / mm"', (0, 1, 2), (1e3, 1e-3, 1e-3), ""),
     ("# distance [m], right [mm], left [mm]", (0, 2, 1), (1, 1e-3, 1e-3), ""),
-    ("distance;right;left", (0, 2, 1), (1, 1, 1), ""),
     ("distance [feet],elevation [inches],t", (0, 1, 1), (0.3048, 0.0254, 0.0254), ""),
     ("time,distance,height", (1, 2, 2), (1, 1, 1), ""),
-    ("distance,height [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ""),
     ("distance [m],left [mm],right [mm]", (0, 2, 2), (1, 1e-3, 1e-3), ":columns=1,3"),
     ("distance,left [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ":height_unit=mm"),
     ("distance [furlong],height [yd],t", (0, 1, 1), (0.3048, 0.01, 0.01), ":distance_unit=ft:height_unit=cm"),
     ("a,b,c", (0, 1, 2), (1, 1, 1), ":columns=1,2,3"),
     ("the left lane, in m, by hand", (0, 1, 2), (1, 1, 1), ""),
-    ("# in,cm,mm", (0, 1, 2), (1, 1, 1), ""),
 ]
 
 
-@pytest.mark.parametrize(("above", "columns", "metres", "settings"), HEADED, ids=[row[0] + row[3] for row in HEADED])
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    ("above", "columns", "metres", "settings", "separator"),
+    [(*row, separator) for row, separator in zip(HEADED, itertools.cycle(",;\t"))],
+)
 def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separator):
     """Headings say which column is what, in which order, and in which unit, however separated; prose says nothing."""
     monkeypatch.setattr(profile_file, "WIDEST", np.inf)  # the same numbers in every unit and order are no likely road
@@ -433,42 +396,30 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
         (
             "distance,left,right",
             ":columns=1,3,2",
-            "column 3 is called 'right', and would be read as the height of the left track",
+            "column 3 is called 'right', and would be read as the height of the left",
         ),
         (
             "a,b,c",
             "",
-            "column 1 is called 'a', and none of distance, height, left, right; say which columns are meant, as in :col",
+            "column 1 is called 'a', and none of distance, height, left, right; say which columns",
         ),
-        ("distance,a,b [mm]", "", "column 2 is called 'a', and none of distance"),
         ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', are both height; say which columns"),
-        ("x,station,z", "", "columns 1, 'x' and 2, 'station', are both distance"),
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', and would be read as distance"),
-        ("height,distance,right", "", "column 1 is called 'height', and would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),
-        ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', and would be read as height"),
-        (
-            "distance [cm],left,right",
-            ":distance_unit=m",
-            "column 1, 'distance [cm]', is in cm, and distance_unit = m was asked for",
-        ),
         ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', is in in, and height_unit = mm was asked for"),
         (
             "distance [furlong],left,right",
             "",
-            "column 1, 'distance [furlong]', is in 'furlong'; allowed: cm, ft, in, km, m, mm; convert it, or say :dist",
+            "'distance [furlong]', is in 'furlong'; allowed: cm, ft, in, km, m, mm",
         ),
-        ("distance,left [µm],right [µm]", "", "column 2, 'left [µm]', is in 'µm'; allowed: cm, ft, in, km, m, mm"),
         ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
     ],
 )
 def test_headings_that_contradict(tmp_path, above, settings, said):
     """Headings against the options, against what the order would make of them, or in a unit that is none, are refused."""
     (tmp_path / "road.csv").write_text(f"{above}\n0,0,0\n1,.01,.01\n2,.02,.01\n3,0,0\n")
-    with pytest.raises(InputError) as error:
+    with refused(said, f"road file {tmp_path / 'road.csv'}: "):
         choose_road(f"road.csv{settings}", tmp_path)
-    assert said in str(error.value)
-    assert str(error.value).startswith(f"road file {tmp_path / 'road.csv'}: ")
 
 
 DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
@@ -479,10 +430,7 @@ DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
     [
         (DECIMALS, "", None),
         ("0,0,00\n1,0,01\n2,0,12\n3,0,00\n", ":height_unit=mm", None),  # 01 is no whole number that anybody writes
-        ("0,0,0\n1,0,1\n2,1,0\n3,0,0\n", "", None),  # whole metres
         ("0,0,0\n1,12,-3\n2,10,0\n3,0,0\n", ":height_unit=mm", 2),
-        ("0,0,0.01\n1,0,0\n2,0,0\n3,0,0\n", "", 2),
-        ("distance,left,right\n" + DECIMALS.replace("02", "0"), "", 2),
         (DECIMALS.replace("02", "0"), ":separator=comma", 2),
         (DECIMALS.replace("02", "0"), ":columns=1,2,3", 2),
         (DECIMALS.replace(",0,", ";0,"), "", 1),
@@ -516,19 +464,13 @@ def test_what_is_written_is_read(tmp_path):
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
-        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is no finite number; give two columns"),
         ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3, column 2: 'inf' is no finite number"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), and line 1 has 2"),
-        ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), and line 1 has 2"),
-        ("0 0\n1 high 3\n2 0\n3 0\n", "line 2, column 2: 'high' is no finite number"),
-        ("0,0\n1,high\n2,0\n", "line 2"),
-        ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
         ("0,0\n", "a profile needs at least 2 points, and has 1"),
         ("", "it is empty; give two columns"),
         ("0,0\n100,20\n200,-10\n300,0\n", "points are 100 m apart, in metres as no unit is given; distances in mm or cm?"),
         ("a,b\n" * 60 + "0,0\n", "no line of numbers among the first 50"),
-        ("0,5,1,2\n", "line 1 has 4 column(s)"),
     ],
 )
 def test_bad_profiles(tmp_path, text, said):
@@ -539,35 +481,13 @@ def test_bad_profiles(tmp_path, text, said):
         choose_road(str(path))
 
 
-def test_lines_may_end_in_any_way(tmp_path):
-    """Line ends of Unix, Windows and old Macs give the same road, and a bad line has the same number."""
-    path = tmp_path / "road.csv"
-    for end in (b"\n", b"\r\n", b"\r"):
-        path.write_bytes(end.join([b"distance,height", b"0,0", b"1,0.01", b"2,0", b"3,0", b""]))
-        assert read_profile(path, 20.0).heights[:, 0].tolist() == [0.0, 0.01, 0.0, 0.0]
-        path.write_bytes(path.read_bytes().replace(b"2,0", b"2,high"))
-        with pytest.raises(InputError, match=r"line 4, column 2: 'high' is no finite number"):
-            choose_road(str(path))
-
-
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
-def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
-    """A file that is no UTF-8 is refused, with what to do about it."""
-    path = tmp_path / "road.csv"
-    path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
-    with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
-        choose_road(str(path))
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
-        ("iso8608:class=", "unknown road class ''"),
         ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
         ("gravel", "unknown road 'gravel'; give iso8608, bump"),
         ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or one with its unit"),
-        ("pothole:depth", "'depth' is not NAME=VALUE"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
         (
             "pothole:length=0.3",
@@ -575,36 +495,23 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ),
         ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
         ("bump:track=middle", "track = 'middle'"),
-        ("watts_hump:height=2", "watts_hump height = 2 is not allowed"),
-        ("step:speed=3", "'speed=3' is not NAME=VALUE"),
         ("sweep:highest=0.1", "sweep highest"),
         ("nowhere.csv", "there is no such file"),
         ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
-        ("road.csv:columns=0,1", "columns = '0,1' is not allowed"),
         ("road.csv:columns=1", "as in columns=1,3"),
-        ("road.csv:columns=", "columns = '' is not allowed"),
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
         ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
         ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
-        ("iso8608:iri=301", "road iri = 301 is not allowed"),
-        ("iso8608:iri=-1", "road iri = -1 is not allowed"),
-        ("iso8608:iri=nan", "iri = 'nan' is not a finite number"),
-        ("road.csv:height_unit=mm:height_unit=m", "height_unit is given twice"),
     ],
 )
 def test_bad_roads(text, said):
     """A road that is none is refused in one line."""
     with refused(said):
         choose_road(text)
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, True, "1", 2**63])
-def test_bad_seeds(seed):
-    """A seed is a whole number."""
-    with pytest.raises(InputError, match="seed"):
-        Iso8608("C", seed)
+    with refused("seed = 1.5 is not allowed; give a whole number"):
+        Iso8608("C", 1.5)  # pyright: ignore[reportArgumentType]
 
 
 EVERY = [
@@ -675,16 +582,12 @@ def test_description_is_enough(road):
     ("description", "message"),
     [
         ({}, "unknown type"),
-        ({"type": ["bump"]}, "unknown type"),
         ({"type": "bump", "height": "a"}, "its height = 'a' is not allowed; give a number"),
-        ({"type": "bump"}, "its height = None is not allowed; give a number"),
         ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
         ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
-        ({**Bump().describe(), "speed": 1e9}, "speed = 1e\\+09 is not allowed"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
         ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list, each item a number"),
-        ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "not equally many"),
         ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
     ],
 )
@@ -692,11 +595,3 @@ def test_bad_description(description, message):
     """A description of no road, or of another one than it says, is refused."""
     with pytest.raises(InputError, match=message):
         described_road(description)
-
-
-def test_words_of_a_profile_are_of_heights(tmp_path):
-    """The lowest and highest point of a profile are in metres, though a random road's are frequencies."""
-    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n1,0.01\n2,-0.02\n3,0\n")
-    vehicle = read_vehicle("quarter_car")
-    profile = choose_road(str(tmp_path / "road.csv")).build(vehicle, 10.0, 0, 30.0)
-    assert "lowest -0.02 m, highest 0.01 m, speed 10 m/s" in profile.words
