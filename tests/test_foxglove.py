@@ -21,7 +21,7 @@ from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.foxglove_scene import _arrows
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
-from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene
+from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, rotation_matrix
 from sim.response.response import difference
 from tests.npm import installed
 from tests.test_recording import make_run
@@ -255,3 +255,10 @@ def test_another_language_reads_the_same(log: Path, node_modules: Path) -> None:
     happened = [(event["message"], event["name"], event["level"]) for event in theirs["topics"]["/events"]["messages"]]
     assert [text for text, *_ in happened[:2]] == ["lift-off", "landing"]
     assert {(name, level) for _, name, level in happened} == {("I", Log.INFO)}
+
+
+def test_rotation_of_a_quaternion():
+    """A quaternion turns as scipy's has it, whatever its length."""
+    for quaternion in np.random.default_rng(1).normal(size=(20, 4)):
+        expected = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        np.testing.assert_allclose(rotation_matrix(quaternion), expected, atol=1e-15)  # rounding of numbers up to 1
