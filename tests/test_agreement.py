@@ -10,7 +10,7 @@ from sim.runs.agreement import lift_off_intervals
 from tests.analysed import continuous_response, sampled_response, simulate
 from tests.conftest import random_vehicles
 
-CONFIGURATIONS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]
+CONFIGURATIONS = ["passive", "state", "I", "II"]
 STEPS = np.array([2e-3, 1e-3, 5e-4, 2.5e-4])
 
 
@@ -42,21 +42,15 @@ def test_mujoco_is_rk4_on_the_linear_system(paper, controller):
         assert error(physics, predicted, signal) < 1e-12  # 3000 steps of rounding; measured 3e-14
 
 
-def test_agreement_at_one_millisecond(paper, controller):
-    """At 1 ms every signal is within 2e-6 of the exact sampled response."""
-    time = times(1e-3)
-    physics, sampled = physics_of(paper, controller, Bump(), time), sampled_response(paper, controller, Bump(), time)
-    for signal in paper.linear_model.outputs:
-        assert error(physics, sampled, signal) < 2e-6  # RK4's own error; measured 7.4e-7 in tyre deflection
-
-
 def test_agreement_is_of_fourth_order(paper, controller):
-    """The difference from the exact sampled response falls with the fourth power of the step."""
+    """The difference from the exact sampled response falls with the fourth power of the step; at 1 ms it is within 2e-6."""
     errors = []
     for step in STEPS[:3]:
         time = times(step, 1.0)
         physics, sampled = physics_of(paper, controller, Bump(), time), sampled_response(paper, controller, Bump(), time)
         errors.append(error(physics, sampled, "tyre_deflection"))
+        if step == 1e-3:  # measured 7.4e-7 in tyre deflection
+            assert max(error(physics, sampled, signal) for signal in paper.linear_model.outputs) < 2e-6
     slopes = np.diff(np.log(errors)) / np.diff(np.log(STEPS[:3]))
     np.testing.assert_allclose(slopes, 4.0, atol=0.1)  # the next order, and peaks that fall between samples
 

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -22,20 +21,17 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from models.common.errors import InputError
-from models.vehicle.vehicle import Vehicle, read_vehicle
-from sim.campaign import batch
+from models.vehicle.vehicle import read_vehicle
 from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import locked, read_manifest
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import measure, metrics_of
-from synth.controller.controller import Driver
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
-from tests.commands import prose
+from tests.commands import prose, refused
 from tests.curved import DIGRESSIVE, curved_text
-from tests.shared import designed
 from tests.test_dampers import BOTH
 
 ROOT = Path(__file__).parent.parent
@@ -138,7 +134,7 @@ def test_rows_are_those_runs(small, tmp_path):
     campaign = read_campaign(file)
     for row in (small[0][1], small[0][-1], small[0][RUNS // 2 - 1]):
         nominal = read_vehicle(row["vehicle"])
-        vehicle = campaign_vehicle(nominal, row)
+        vehicle = nominal.with_parameters(sprung_mass=row["parameter_sprung_mass"])
         controller = Designer(nominal).design(row["controller"])
         choice = next(road for road in campaign.roads if road.text == row["road"])
         road = choice.build(vehicle, row["speed"], row["seed"] or 0, row["speed"] * campaign.duration)
@@ -168,23 +164,19 @@ def test_rows_are_those_runs(small, tmp_path):
         assert (row["ended_at"] is None) == (row["ended_by"] is None)
 
 
-def campaign_vehicle(vehicle, row):
-    from dataclasses import replace
-
-    return replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": row["parameter_sprung_mass"]})
-
-
 def test_rows_are_what_a_drive_says(tmp_path, capsys):
     """A row has the road's IRI and the metrics that `sim.drive` prints of the same run; linear ones where there are some.
 
-    With curves, or with adjustable dampers that are asked for forces, a run is no linear one, and its columns say so.
+    With curves, with adjustable dampers that are asked for forces, or with a controller that is sampled and late, a run has no
+    exact linear response here, and its columns say so.
     """
     from sim.drive import main as drive
 
-    curved, damped = tmp_path / "curved.toml", "quarter_car_semi_active"
-    curved.write_text(curved_text(suspension_damping=DIGRESSIVE))
+    damped, late = "quarter_car_semi_active", "[implementation]\nsample_period = 4e-3\ndelay = 1\n"
+    (tmp_path / "curved.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
+    (tmp_path / "late.toml").write_text(f"{read_vehicle('quarter_car').text}\n{late}")
     text = f"""
-vehicles = ["curved.toml", "{damped}"]
+vehicles = ["curved.toml", "{damped}", "late.toml"]
 controllers = ["passive", "I"]
 roads = ["bump:height=0.02", "iso8608:class=A"]
 speeds = [16.0]
@@ -206,10 +198,10 @@ timestep = 2e-3
         return json.loads(capsys.readouterr().out)
 
     for row in rows:
-        vehicle = str(curved) if row["vehicle"] == "curved.toml" else damped
+        vehicle = damped if row["vehicle"] == damped else str(tmp_path / row["vehicle"])
         result = driven(vehicle, row["road"], *(["--seed", "3"] if row["seed"] is not None else []))
         assert row["iri"] == result["iri"]["iri"]["road"]
-        linear = vehicle == damped and row["controller"] == "passive"
+        linear = row["vehicle"] != "curved.toml" and row["controller"] == "passive"
         assert (row["linear_error"] is None) == (not linear)
         if row["seed"] is not None:
             continue  # measured from another time
@@ -221,8 +213,6 @@ timestep = 2e-3
                 assert row[f"linear_{name}"] == pytest.approx(metric["linear"], rel=1e-6, abs=1e-9), name
             else:
                 assert row[f"linear_{name}"] is None
-    for name in ("linear_error", "linear_suspension_deflection_rms"):
-        assert "vehicles without curves, and without adjustable dampers but where" in about[name]["definition"]
     assert all(row["iri"] > 1 for row in rows)
 
 
@@ -260,8 +250,6 @@ def test_adjustable_dampers_are_sampled(tmp_path):
             "c_max_front = { uniform = [0.1, 0.2], relative = true }",
             r"is no vehicle: suspension_damping_front = 1000 N s/m, which",
         ),
-        ("c_min_front = { uniform = [-1.0, 2.0] }", r"reaches a value that is none, .* c_min_front: -1.0 is not allowed"),
-        ("bandwidth_front = { uniform = [1.0, 2.0] }", r"no parameter 'bandwidth_front'"),
     ],
 )
 def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
@@ -269,9 +257,8 @@ def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
     (tmp_path / "car.toml").write_text(BOTH)
     text = 'vehicles = ["car.toml"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n[samples]\ncount = 2\n'
     (tmp_path / "c.toml").write_text(f"{text}[samples.parameters]\n{entry}\n")
-    with pytest.raises(InputError, match=said) as error:
+    with refused(match=said):
         read_campaign(tmp_path / "c.toml")
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.attack
@@ -301,36 +288,6 @@ def test_an_iri_is_of_its_road(small):
     assert len(set.union(*found.values()) - {None}) == len(found)
 
 
-@pytest.mark.attack
-def test_a_late_controller_has_no_exact_response_here(tmp_path):
-    """If a controller is sampled or late, rows have neither a linear error nor linear metrics; passive's have both."""
-    vehicle = (ROOT / "models" / "quarter_car.toml").read_text()
-    (tmp_path / "late.toml").write_text(f"{vehicle}\n[implementation]\nsample_period = 4e-3\ndelay = 1\n")
-    text = QUICK.replace('"quarter_car"', '"quarter_car", "late.toml"').replace("seeds = 60", "seeds = 1")
-    rows, _ = run(tmp_path, text, "--workers", "1")
-    late = [row["vehicle"] == "late.toml" and row["controller"] != "passive" for row in rows]
-    assert [row["linear_error"] is None for row in rows] == late
-    bumps = [(row["linear_dynamic_load"] is None) == no for row, no in zip(rows, late, strict=True) if row["road"][:4] == "bump"]
-    assert bumps
-    assert all(bumps)
-
-
-def test_only_linear_runs_have_an_exact_response():
-    """On a car with adjustable dampers the passive run alone is linear; beside one that is not, none counts as such."""
-    semi, plain = read_vehicle("quarter_car_semi_active"), read_vehicle("quarter_car")
-    passive, sky = (Planned(semi, designed(semi, name)) for name in ("passive", "sky"))
-    law = Planned(plain, semi.controllers["skyhook"].driver())
-    for runs, exact in (([passive], True), ([sky], False), ([passive, sky], False), ([law], False)):
-        assert batch._is_exact(cast(Any, runs)) is exact
-
-
-class Planned(NamedTuple):
-    """A run of a campaign, as far as it matters to its exact response."""
-
-    vehicle: Vehicle
-    controller: Driver
-
-
 def test_where_it_is_linear_it_agrees(small):
     """Runs that stay linear are their linear twins to RK4's error and geometry's; of others, wheels lift, and it says when."""
     rows, _ = small
@@ -347,7 +304,10 @@ def root_mean_square(values):
 
 
 def test_summary(begun, small, capsys):
-    """The table at the end is root mean square and percentile of the rows of the worst point, beside what is predicted of it."""
+    """The table at the end is root mean square and percentile of the rows of the worst point, beside what is predicted of it.
+
+    Without -v it says of each controller how many runs left the linear regime.
+    """
     folder, _, printed = begun
     result = json.loads(printed, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert result["runs"] == result["new"] == RUNS
@@ -364,18 +324,8 @@ def test_summary(begun, small, capsys):
         prefix = "expected" if entry["road"].startswith("iso") else "linear"
         predicted = root_mean_square(row[f"{prefix}_{entry['load']['column']}"] for row in some)
         assert entry["load"]["predicted"] == pytest.approx(predicted)
-    texts = []
-    for more in ([], ["-v"]):
-        main([str(folder / "campaign.toml"), "--results", str(folder / "results"), *more])
-        texts.append(capsys.readouterr().out)
-    short, out = texts
-    assert "all of them there already" in out
-    assert out.count("quarter_car over iso8608:class=E at 25 m/s") == 1
-    main([str(folder / "campaign.toml"), "--results", str(folder / "results"), "--brief"])
-    brief = capsys.readouterr().out
-    assert "quarter_car over" not in brief
-    assert "quarter_car over" not in short
-    assert all(text.endswith(brief[brief.index("\n\nquarter_car\n") :]) for text in texts)
+    main([str(folder / "campaign.toml"), "--results", str(folder / "results")])
+    short = capsys.readouterr().out
     for car in ("quarter_car", "half_car"):
         of = {name: [row for row in small[0] if (row["vehicle"], row["controller"]) == (car, name)] for name in ("passive", "I")}
         left = {name: sum(row["ended_by"] is not None for row in some) for name, some in of.items()}
@@ -402,10 +352,9 @@ def test_who_is_best_over_all_runs(begun, small):
         assert set(leaders) <= set(entry["best"]["peak_travel"])
 
 
-def test_columns_say_what_they_are(small, tmp_path):
+def test_columns_say_what_they_are(begun):
     """Every metric has its unit and definition in the Parquet file, and an expectation that is approximate says so."""
-    run(tmp_path, QUICK.replace("seeds = 60", "seeds = 1"))
-    schema = pq.read_schema(tmp_path / "results" / "results.parquet")
+    schema = pq.read_schema(begun[0] / "results" / "results.parquet")
     for metric in metrics_of(read_vehicle("quarter_car")):
         for prefix in ("", "expected_", "linear_"):
             about = schema.field(f"{prefix}{metric.name}").metadata
@@ -435,11 +384,6 @@ def test_a_flat_tyre_is_a_row(tmp_path, capsys):
     broken, _, whole = json.loads(capsys.readouterr().out)["summary"]
     assert (broken["broke_off"], whole["broke_off"]) == (1, 0)
     assert broken["ride"] == {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
-    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "-v"]) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert sum(line.endswith("  broke off") for line in printed) == 2  # of the roads where a run did
-    heading = next(i for i, line in enumerate(printed) if line.endswith("  broke off"))
-    assert [line.split()[-1] for line in printed[heading + 2 : heading + 8 : 2]] == ["1"] * 3
 
 
 def test_a_diverging_run_is_a_row(tmp_path):
@@ -460,19 +404,9 @@ def test_a_diverging_run_is_a_row(tmp_path):
 def command(folder, *arguments):
     """The command as a user starts it."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    arguments = [
-        sys.executable,
-        "-m",
-        "sim.campaign",
-        "campaign.toml",
-        "--results",
-        "results",
-        "--batch",
-        "8",
-        "--json",
-        *arguments,
-    ]
-    return subprocess.Popen(arguments, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    asked = ["campaign.toml", "--results", "results", "--batch", "8", "--json", *arguments]
+    process = functools.partial(subprocess.Popen, cwd=folder, env=environment, text=True)
+    return process([sys.executable, "-m", "sim.campaign", *asked], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def killed(folder, chance, signal_number, there=".lock"):
@@ -573,36 +507,24 @@ BAD_FILES = [
     ({"vehicles": "[]"}, "", "vehicles = [] names none, so there are no runs"),
     ({"roads": None}, "", "'roads' is missing, so there are no runs"),
     ({"speeds": "10.0"}, "", "speeds = 10.0 is not a list; give a list, as in speeds = [20.0]"),
-    ({"controllers": '"I"'}, "", "controllers = 'I' is not a list; give a list, as in controllers = [\"I\"]"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
-    ({"controllers": '["I", "I"]'}, "", "names 'I' twice"),
     ({"speeds": "[10, 10.0]"}, "", "speeds: 10 and 10.0 are the same; name each once"),
-    ({"speeds": "[10.0, 10.0]"}, "", "speeds names 10.0 twice"),
     ({"vehicles": f'["quarter_car", "{(ROOT / "models" / "quarter_car.toml").as_posix()}"]'}, "", "are the same; name each once"),
     ({"roads": '["bump", "bump:height=0.1"]'}, "", "roads: 'bump' and 'bump:height=0.1' are the same; name each once"),
-    ({"roads": '["iso8608", "bump", "iso8608:class=C"]'}, "", "roads: 'iso8608' and 'iso8608:class=C' are the same"),
     ({"controllers": "[1]"}, "", "1 is not text in quotes"),
     ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
-    ({"roads": '["gravel"]'}, "", "unknown road 'gravel'"),
-    ({"roads": '["hole.csv"]'}, "", "there is no such file"),
-    ({"roads": '["pothole:track=left"]'}, "", "has only one track"),
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
     ({"speeds": '["fast"]'}, "", "speeds: 'fast' is not allowed"),
-    ({"speeds": "[0.0]"}, "", "speeds: 0.0 is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 makes no runs"),
-    ({"seeds": "1.5"}, "", "no number of seeds"),
     ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give a whole number"),
     ({"seeds": "[1, 1]"}, "", "seeds has one twice"),
-    ({"seeds": "[-1]"}, "", "seed = -1"),
     ({"seeds": "20000000"}, "", "far too many"),
     ({"duration": "0.0"}, "", "duration"),
-    ({"duration": "nan"}, "", "duration: nan is not allowed"),
     ({"settle": "8.0"}, "", "settle = 8 s leaves too little"),
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
     ({"speed": "20"}, "", "unknown key 'speed'"),
     ({}, "[samples]\ncount = 0\n", "count = 0 is not allowed; give a whole number from 1 to"),
-    ({}, "[samples]\ncount = 1000000000\n", "count = 1000000000 is not allowed; give a whole number from 1 to"),
     ({}, "[samples]\nmethod = 'sobol'\n", "[samples] 'count' is missing; give how many"),
     ({}, "[samples]\ncount = 4\n", "samples no parameters"),
     ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
@@ -615,7 +537,6 @@ BAD_FILES = [
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",
         "reaches a value that is none, for vehicle 'quarter_car': sprung_mass = -10",
     ),
-    ({}, SAMPLED + "sprung_mass = { normal = [500, 200] }", "sprung_mass = -100"),
     (
         {},
         SAMPLED + "tyre_stiffness = { uniform = [1e3, 2e5] }",
@@ -638,15 +559,6 @@ def test_bad_files(tmp_path, monkeypatch, capsys, changes, after, said):
     assert len(str(error.value).splitlines()) == 1
     assert capsys.readouterr().out == ""
     assert list(tmp_path.iterdir()) == [tmp_path / "campaign.toml"]
-
-
-def test_no_file(tmp_path):
-    """So is a file that is not there, or not TOML."""
-    with pytest.raises(InputError, match="there is no such file"):
-        main([str(tmp_path / "none.toml")])
-    (tmp_path / "none.toml").write_text("vehicles = [")
-    with pytest.raises(InputError, match="not TOML"):
-        main([str(tmp_path / "none.toml")])
 
 
 @pytest.mark.parametrize(

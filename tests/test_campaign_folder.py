@@ -61,46 +61,21 @@ def again(begun, folder):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(
-    "arguments", [pytest.param(("--batch", "1"), marks=pytest.mark.attack), ("--batch", "7", "--workers", "1")], ids=" ".join
-)
-def test_bytes_do_not_depend_on_batches(whole, tmp_path, monkeypatch, arguments):
-    """The finished file is the same to the last byte, whatever its runs were batched in, also in many groups."""
-    assert start(tmp_path, *arguments) == 0
+def test_bytes_do_not_depend_on_batches(whole, tmp_path):
+    """The finished file is the same to the last byte, whatever its runs were batched in."""
+    assert start(tmp_path, "--batch", "7", "--workers", "1") == 0
     assert (tmp_path / "results" / "results.parquet").read_bytes() == whole[1]
-
-
-def test_a_name_with_colons(tmp_path, monkeypatch):
-    """A folder's name is a name, also where a library would take it for an address."""
-    (tmp_path / "campaign.toml").write_text(test_campaign.QUICK.replace("seeds = 60", "seeds = 1"))
-    monkeypatch.chdir(tmp_path)
-    for name in ("s3:0:1", "plain"):
-        assert main(["campaign.toml", "--results", name]) == 0
-    assert (tmp_path / "s3:0:1" / "results.parquet").read_bytes() == (tmp_path / "plain" / "results.parquet").read_bytes()
-    assert main(["--verify", "s3:0:1", "--runs", "1"]) == 0
 
 
 def cut(parts):
     parts[1].write_bytes(parts[1].read_bytes()[:-100])
 
 
-def emptied(parts):
-    parts[1].write_bytes(b"")
-
-
 def renamed(parts):  # its runs under the numbers of others
     parts[1].rename(parts[1].with_name("part-000000016-000000024.parquet"))
 
 
-def another_row(parts):
-    table = pq.read_table(parts[1])
-    pq.write_table(table.slice(0, 3), parts[1])
-
-
-DAMAGES = [cut, emptied, renamed, another_row]
-
-
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda one: one.__name__)
+@pytest.mark.parametrize("damage", [cut, renamed], ids=lambda one: one.__name__)
 def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage):
     """Whatever happened to a part, the finished file is the same to the last byte, and what was found is named."""
     damage(again(begun, tmp_path))
@@ -126,18 +101,15 @@ def test_verify(whole, capsys):
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
 
 
-def test_verify_finds_what_is_no_table(whole, tmp_path, capsys):
-    """Results that are not a Parquet file are a fault, in one line."""
-    shutil.copytree(whole[0], tmp_path / "results")
-    (tmp_path / "results" / "results.parquet").write_bytes(b"junk")
-    assert main(["--verify", str(tmp_path / "results")]) == 1
-    assert "cannot be read as Parquet" in capsys.readouterr().out
+def test_verify_a_copied_folder(tmp_path, monkeypatch, capsys):
+    """A folder is verified by its own text of the campaign, moved or not; that the file is gone or another is said.
 
-
-def test_verify_a_copied_folder(tmp_path, capsys):
-    """A folder is verified by its own text of the campaign, moved or not; that the file is gone or another is said."""
-    assert start(tmp_path) == 0
-    arguments = ["--verify", str(tmp_path / "results"), "--runs", "1"]
+    Its name is a name, also where a library would take it for an address.
+    """
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "campaign.toml").write_text(QUICK)
+    assert main(["campaign.toml", "--results", "s3:0:1"]) == 0
+    arguments = ["--verify", "s3:0:1", "--runs", "1"]
     capsys.readouterr()
     for said in ("is another one by now", "is not there any more"):
         (tmp_path / "campaign.toml").write_text("speeds = []")
@@ -147,9 +119,9 @@ def test_verify_a_copied_folder(tmp_path, capsys):
         assert said in prose(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "order"])
+@pytest.mark.parametrize("forgery", ["number", "inputs", "rows", "gain", "no table"])
 def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
-    """Other numbers, inputs, rows or gains are found by running a sample again."""
+    """Other numbers, inputs, rows or gains are found by running a sample again, and so is what is not a Parquet file."""
     shutil.copytree(whole[0], tmp_path / "results")
     file = tmp_path / "results" / "results.parquet"
     table, manifest = pq.read_table(file), read_manifest(tmp_path / "results")
@@ -163,16 +135,16 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
         rows[7]["speed"] = 30.0
     elif forgery == "rows":
         rows = rows[:-1]
-    elif forgery == "order":
-        rows[0], rows[1] = rows[1], rows[0]
-    else:
+    elif forgery == "gain":
         gains["quarter_car"]["I_printed"]["gain"] = [[20000.0, -2071.0]]
     pq.write_table(type(table).from_pylist(rows, schema=table.schema), file)
+    if forgery == "no table":
+        file.write_bytes(b"junk")
     dataclasses.replace(manifest, controllers=gains).write(tmp_path / "results")
     assert main(["--verify", str(tmp_path / "results"), "--runs", "4"]) == 1
     out = capsys.readouterr().out
     said = {"number": "when driven again", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
-    said |= {"gain": "is not the one that the vehicle file makes", "order": "not one a run"}
+    said |= {"gain": "is not the one that the vehicle file makes", "no table": "cannot be read as Parquet"}
     assert said[forgery] in prose(out)
     assert out.endswith("the results DO NOT HOLD what the campaign comes to\n")
 
@@ -183,11 +155,9 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
         ([], "no campaign was named"),
         (["--verify", "{begun}"], "runs are not there yet"),
         (["--verify", "{empty}"], "is empty"),
-        (["--verify", "{empty}/none"], "there is no such folder"),
         (["--verify", "{whole}", "--workers", "2"], "--workers does not go with it"),
         (["campaign.toml", "--seed", "1"], "--seed says what --verify drives again"),
         (["campaign.toml", "--workers", "0"], "from 1 to 1024"),
-        (["campaign.toml", "--workers", "1000000000"], "from 1 to 1024"),
         (["campaign.toml", "--batch", "0"], "from 1 to 256"),
         (["campaign.toml", "--results", ""], "--results: is empty"),
     ],
@@ -204,12 +174,9 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("damaged", [False, True])
-def test_verify_changes_nothing(whole, begun, tmp_path, damaged):
+def test_verify_changes_nothing(whole, begun, tmp_path):
     """--verify, which holds no folder, changes none: parts stay that a campaign, perhaps at work there, has to judge."""
-    parts = again(begun, tmp_path)
-    if damaged:
-        cut(parts)
+    cut(again(begun, tmp_path))
     before = contents(tmp_path / "results")
     with pytest.raises(InputError, match=f"of {RUNS} runs are not there yet"):
         main(["--verify", str(tmp_path / "results"), str(begun.parent / "campaign.toml")])
@@ -224,14 +191,12 @@ def test_verify_changes_nothing(whole, begun, tmp_path, damaged):
     assert not list((tmp_path / "results").glob("part-*"))
 
 
-@pytest.mark.parametrize("there", ["nothing", "an empty folder", "a file of somebody's"])
+@pytest.mark.parametrize("there", [False, True])
 def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch, there):
     """A campaign that cannot write down what it is leaves no folder, and nothing in one that was there."""
     folder = tmp_path / "of" / "today"
-    if there != "nothing":
+    if there:
         folder.mkdir(parents=True)
-    if there.startswith("a file"):
-        (folder / "mine").touch()
     before = sorted(tmp_path.rglob("*"))
 
     def full(*arguments, **named):
@@ -239,7 +204,7 @@ def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch, there):
 
     (tmp_path / "campaign.toml").write_text(QUICK)
     monkeypatch.setattr(type(tmp_path), "write_text", full)
-    with pytest.raises(InputError, match="No space left" if not there.startswith("a file") else "holds no campaign, but mine"):
+    with pytest.raises(InputError, match="No space left"):
         main([str(tmp_path / "campaign.toml"), "--results", str(folder)])
     assert sorted(tmp_path.rglob("*")) == sorted([*before, tmp_path / "campaign.toml"])
 

@@ -22,7 +22,6 @@ from sim.inspect.__main__ import main as inspect
 from sim.inspect.log import read_log
 from sim.linear.nonlinear_elements import at_rest, at_rest_words, elements
 from sim.linear.sampled_response import taylor4
-from sim.margins import _which_loop
 from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
@@ -30,7 +29,7 @@ from sim.studies.validity.regime_map import validity
 from synth.controller.report import ideal_lines
 from synth.vehicle.designer import Designer, design
 from tests.analysed import energy, sampled_response, simulate
-from tests.commands import attacks, prose
+from tests.commands import attacks, prose, refused
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, integrated_by_scipy, with_curves
 from tests.shared import designed
 
@@ -250,56 +249,34 @@ def test_a_parameter_that_changes_scales_its_curve():
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("3", "3 is not a curve; give { velocity = [...], force = [...] }"),
         ("{ velocity = [0.0], force = [0.0] }", "velocity has 1 point(s); give a list of at least two"),
         ("{ velocity = [-1.0, 1.0] }", "force is missing"),
-        ("{ velocity = [-1.0, 1.0], force = [-1.0] }", "force has 1 point(s)"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
         ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
-        ("{ velocity = [-1.0, 0.0, 0.0, 1.0], force = [-1.0, 0.0, 0.5, 1.0] }", "from 0 to 0 m/s at point 3"),
         ("{ velocity = [-1.0, nan, 1.0], force = [-1.0, 0.0, 1.0] }", "velocity has nan as point 2; give finite numbers"),
-        ("{ velocity = [-1.0, 1.0], force = [-1.0, inf] }", "force has inf as point 2"),
         ("{ velocity = [-1.0, 1.0], force = [-1.0, 'x'] }", "force has 'x' as point 2"),
         ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
         ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give m/s, not mm/s"),
         ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
         ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
-        ("{ velocity = [-1.0, 1.0], force = [-1e-308, 1e-308] }", "force is 1e-308 N at most, and nothing below 1e-06 N"),
         ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
-        ("{ velocity = [-1, 0, 1e-308, 1], force = [-1, 0, 1, 2] }", "velocity goes from 0 to 1e-308 m/s at point 3, too near"),
         ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "force is 0 N at most, and nothing below 1e-06 N counts"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction_velocity = 0.02 }", "friction is missing; a friction is"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = -3, friction_velocity = 0.02 }", "friction = -3 is not allowed"),
         ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
+        ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000], friction = 3 }", "unknown key 'friction'"),
     ],
 )
 def test_a_table_that_is_none(table, said):
-    """Whatever is wrong with a damper's table is one line that says what, and what to give."""
-    with pytest.raises(InputError) as error:
-        with_curves(suspension_damping=table)
-    assert said in str(error.value)
-    assert "[curves] suspension_damping" in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [
-        ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
-        ("{ deflection = [-0.1, -0.01, 0.01, 0.1], force = [-1000, 0, 0, 1000] }", "its slope at rest is not above 0"),
-        ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
-        ("{ deflection = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000], friction = 3 }", "unknown key 'friction'"),
-        ("{ velocity = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000] }", "unknown key 'velocity'"),
-    ],
-)
-def test_a_spring_that_is_none(table, said):
-    """So is what is wrong with a spring's."""
-    with pytest.raises(InputError, match="\\[curves\\] suspension_stiffness") as error:
-        with_curves(suspension_stiffness=table)
-    assert said in str(error.value)
+    """Whatever is wrong with the table of a damper or a spring is one line that says what, and what to give."""
+    name = "suspension_stiffness" if "deflection" in table else "suspension_damping"
+    with refused(said, f"[curves] {name}"):
+        with_curves(**{name: table})
 
 
 def test_what_curves_cannot_stand_in_for():
@@ -307,9 +284,7 @@ def test_what_curves_cannot_stand_in_for():
     text = curved_text(suspension_damping=DIGRESSIVE)
     with pytest.raises(InputError, match="suspension_damping is in \\[parameters\\] and in \\[curves\\]"):
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
-    with pytest.raises(
-        InputError, match="'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"
-    ):
+    with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
         with_curves(sprung_mass=DIGRESSIVE)
     with pytest.raises(InputError, match="velocity has 1000000 points; at most 20000 are read"):
         damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0])
@@ -372,10 +347,9 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity [m/s], force [N]\n", "no line of numbers; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
-        ("a.dpr", DPR.replace("'mm'", "'furlong'"), "[UNITS] has LENGTH = 'furlong'; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),
         ("a.dpr", DPR.replace("{ vel   force}", "{ disp force}"), "has a table of disp, force in [CURVE]"),
-        ("gone.csv", None, "gone.csv: is not there"),
+        ("gone.csv", None, "gone.csv"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_no_curve(tmp_path, name, content, said):
@@ -384,9 +358,8 @@ def test_a_file_that_is_no_curve(tmp_path, name, content, said):
         (tmp_path / name).write_text(content)
     text = curved_text(suspension_damping=f"{{ file = '{name}' }}")
     (tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(InputError) as error:
+    with refused(said):
         read_vehicle(tmp_path / "mine.toml")
-    assert said.replace("is not there", "") in str(error.value)
 
 
 def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
@@ -442,24 +415,16 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 
-def test_claims_say_that_they_are_of_the_line_at_rest():
-    """Beside bound and norm, and beside margins, stands which slope they are of, and from where to where it goes elsewhere."""
-    vehicle = with_curves(suspension_damping=DIGRESSIVE)
-    (line,) = ideal_lines(vehicle, [design(vehicle, "passive")])
-    assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
-    assert ideal_lines(vehicle.linearised, [design(vehicle, "passive")]) == []
-    assert _which_loop(vehicle).endswith("at rest, and there alone: suspension_damping 1750 (elsewhere 666.7 to 1750)")
-    assert _which_loop(vehicle.linearised) == ""
-
-
 def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
-    """With friction no road is so small that physics is the line: frequency responses have the line in MuJoCo, and say so."""
+    """Claims say that they are of the line at rest; with friction, where no road is so small that physics is that line,
+    frequency responses have the line in MuJoCo, too, and say so."""
     rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
     smooth = with_curves(suspension_damping=DIGRESSIVE)
+    (line,) = ideal_lines(smooth, [design(smooth, "passive")])
+    assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"
-    assert _which_loop(rough).endswith("; MuJoCo has these lines, as a curve bends at rest")
     controller = [design(rough, "I")]
     off, near = (
         float(one.error(one.sampled).max())

@@ -11,7 +11,6 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
-from sim.sweep import main as sweep
 from synth.__main__ import main
 from synth.analysis.norm import hinf_norm
 from synth.controller.open_loop import continuous, sampled
@@ -73,15 +72,10 @@ def test_active_suspension_from_its_file(handling, names, tmp_path, capsys):
 
 
 def test_its_table_says_what_the_norm_is_of(tmp_path, capsys):
-    """What the table and --json say of noise and lag: which signals, how large, against what, and that the rest is ideal."""
+    """What --json says of noise and lag: which signals, how large, and of which controller."""
     file = tmp_path / "car.toml"
     file.write_text(built("noise = true", "lag = true", "gain = [[9000.0, -2500.0]]").text)
     asked = ["--vehicle", str(file), "--controller", "one", "--controller", "passive"]
-    assert main([*asked, "-v"]) == 0
-    text = " ".join(capsys.readouterr().out.split())
-    assert "count noise, too: an rms of 0.001 on suspension_deflection, 0.02 on sprung_velocity weighs as much as 1 m/s" in text
-    assert "include the actuators' lag, 80 rad/s; z weighs the commanded force" in text
-    assert "without [limits] and [implementation], but for the noise and lag that one asks for" in text
     assert main([*asked, "--json"]) == 0
     one, passive = json.loads(capsys.readouterr().out)["controllers"]
     assert one["noise"] == {"suspension_deflection": 1e-3, "sprung_velocity": 2e-2}
@@ -133,9 +127,7 @@ KINDS = {
         ("static", ("noise = true", "lag = true")),
         ("h2", ("noise = true",)),
         ("given", ("lag = true",)),
-        *attacks([("accelerometer", ("lag = true",))]),
-        *(pytest.param(kind, ("noise = true", "lag = true"), marks=pytest.mark.attack) for kind in KINDS if kind != "static"),
-        pytest.param("static", ("noise = true",), marks=pytest.mark.attack),
+        *attacks([("accelerometer", ("noise = true", "lag = true"))]),
     ],
 )
 def test_bounds_with_noise_and_lag(kind, flags):
@@ -174,42 +166,12 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
     assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
-    assert (
-        bump(
-            [
-                "--vehicle",
-                str(saved),
-                "--controller",
-                "one_designed",
-                "--height",
-                "0.01",
-                "--duration",
-                "0.5",
-                "--logs",
-                str(logs),
-                "-v",
-            ]
-        )
-        == 0
-    )
-    said = " ".join(capsys.readouterr().out.split())
-    assert "norm and bounds count noise, too" in said
+    asked = ["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--duration", "0.5"]
+    assert bump([*asked, "--logs", str(logs)]) == 0
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0
     capsys.readouterr()
     saved.write_text(saved.read_text().replace("sprung_velocity = 0.02", "sprung_velocity = 2.0"))
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 1
-
-
-@pytest.mark.attack
-def test_swept_without_noise(tmp_path, capsys):
-    """A sweep measures the road's part, and says what else the continuous norm has in it."""
-    file = tmp_path / "car.toml"
-    file.write_text(
-        built("noise = true", "gain = [[9000.0, -2500.0]]", with_what=BUILT.replace(", sprung_acceleration = 0.3", "")).text
-    )
-    assert sweep(["--vehicle", str(file), "--controller", "one", "--timestep", "4e-3"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "about the continuous norm: norm and bounds count noise, too: an rms of" in said
 
 
 def test_loops_of_python_control():
@@ -246,19 +208,6 @@ def test_a_law_keeps_what_it_knows():
     assert certify_given(vehicle, "two", entry.measured, there.law).certificate.norm.value < there.certificate.norm.value
 
 
-REFUSED = {
-    "noise = 0.1": "noise = 0.1 is not allowed; give true or false",
-    "lag = 60": "lag = 60 is not allowed; give true or false",
-}
-
-
-@pytest.mark.parametrize("line", REFUSED)
-def test_flags_are_true_or_false(line):
-    """A number in the place of a flag is refused: how much stands elsewhere."""
-    with pytest.raises(InputError, match=REFUSED[line]):
-        built(line)
-
-
 def test_what_is_not_there_is_missed():
     """Noise or lag that the file does not give is one line; so is a design that has its own, and a law without a norm."""
     for flag, said in {"noise = true": r"\[implementation\] gives no noise of what it measures", "lag = true": r"no lag"}.items():
@@ -289,19 +238,6 @@ def test_others_stay_as_they_are():
         assert one.certificate.bound == other.certificate.bound
         assert one.certificate.lower_bound == other.certificate.lower_bound
     assert generalized_plant(built()).Bw.shape == (4, 1)
-
-
-SHAPES = {
-    "A = [[1.0]]\nB = [[1.0, 2.0]]\nC = [[1.0]]\nD = [[1.0]]\n": "B has 1 row(s) of 2 number(s); give 1 row(s) of 1 number(s)",
-    "A = [[1.0]]\nB = [[1.0]]\nC = []\nD = [[1.0]]\n": "C has 0 row(s) of no number(s); give 1 row(s) of 1 number(s)",
-}
-
-
-@pytest.mark.parametrize("law", SHAPES)
-def test_a_matrix_that_does_not_fit_is_described(law):
-    """A matrix that does not fit is described, and one that would fit."""
-    with pytest.raises(InputError, match=re.escape(SHAPES[law])):
-        built(law, section='[controllers.one]\nmeasured = ["sprung_velocity"]\n')
 
 
 @pytest.mark.parametrize("none", ["A = []\nB = []\nC = []\n", "A = []\nB = []\nC = [[]]\n", "A = [[]]\nB = [[]]\nC = [[]]\n"])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from models.common.errors import InputError
 from models.kinds.kind import HERE
 from models.laws.filter import Filter
 from models.roads.choice import choose_road
@@ -16,7 +15,7 @@ from synth.controller.problem import generalized_plant, plant_states
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import closed_loop, weighted_loop
-from tests.commands import attacks
+from tests.commands import attacks, refused
 from tests.shared import designed, printed
 
 PI = "suspension_deflection = { weight = 2.0, numerator = [0.05, 0.15], denominator = [1.0, 0.0] }"
@@ -167,18 +166,8 @@ DESIGNED = ("--controller", "I_designed", "--controller", "h2_designed")
 def test_a_saved_law_is_proved(tmp_path, car):
     """What `--save` writes of laws with an integral is proved again by `--check`, and a note says that they keep it."""
     (tmp_path / "car.toml").write_text(car.text)
-    done = printed(
-        "synth",
-        "--vehicle",
-        "car.toml",
-        "--controller",
-        "I",
-        "--controller",
-        "h2",
-        "--save",
-        "saved.toml",
-        files={"car.toml": car.text},
-    )
+    asked = ("--vehicle", "car.toml", "--controller", "I", "--controller", "h2", "--save", "saved.toml")
+    done = printed("synth", *asked, files={"car.toml": car.text})
     assert done.code == 0
     assert "keep the integral as a state" in " ".join(done.out.split())
     assert "x_c'" not in done.out  # of which controller it is, and its numbers, say the details
@@ -198,14 +187,12 @@ def test_a_norm_that_is_none(car):
 
 
 INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
-GOALS = '[controllers.g]\nmeasured = ["suspension_deflection"]\nnorms = [{ at_most = 9.0 }]\n'
 
 
 @pytest.mark.parametrize(
     ("lines", "more", "said"),
     [
         ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force moves"),
-        ([f"sprung_velocity = {INTEGRAL}"], "", "integral of sprung_velocity, which no constant force moves"),
         ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
         ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no further state"),
         ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "not stable by itself"),
@@ -221,26 +208,18 @@ GOALS = '[controllers.g]\nmeasured = ["suspension_deflection"]\nnorms = [{ at_mo
             'measured = ["suspension_deflection"]\n',
             "integrates the noise of suspension_deflection",
         ),
-        (
-            ["suspension_deflection = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }"],
-            "",
-            "deflection: its denominator has two",
-        ),
         (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is a zero, too"),
         (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: its denominator has a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
-        (["height = { sum = {} }"], "", "sum = {} is not allowed; give factors"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),
-        (["height = { sum = { tyre_deflection = 1.0 }, weight = -1 }"], "", "height = -1 is not allowed"),
         (["height = { sum = { tyre_deflection = 1.0 }, gain = 1 }"], "", "height unknown key 'gain'"),
         (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "is a signal, and no sum"),
     ],
 )
 def test_refused(lines, more, said):
     """What has no norm, or no room for the integral's state, is refused in one line that says why."""
-    with pytest.raises(InputError, match=re.escape(said)) as error:
+    with refused(said):
         generalized_plant(parse_vehicle(text_of("quarter_car", *lines, more=more)))
-    assert "\n" not in str(error.value)
 
 
 def test_a_sum_of_one_signal_is_that_signal():

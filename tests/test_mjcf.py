@@ -12,9 +12,9 @@ from models.vehicle.mjcf import build_model, mjcf_text
 from tests.conftest import random_vehicles
 
 
-@pytest.fixture(params=range(5))
+@pytest.fixture(params=range(3))
 def vehicle(request, paper):
-    return [paper, *random_vehicles(paper, 4)][request.param]
+    return [paper, *random_vehicles(paper, 2)][request.param]
 
 
 def acceleration(model, qpos=0.0, qvel=0.0, ctrl=0.0, road=0.0):
@@ -50,15 +50,6 @@ def test_linearisation_is_the_papers(vehicle):
         np.testing.assert_allclose(found[[body, wheel]], expected, atol=1e-9 * np.abs(linear.A).max())
     found = (acceleration(model, ctrl=h) - rest) / h
     np.testing.assert_allclose(found[[body, wheel]], linear.B[2:, 0], atol=1e-9)
-
-
-def test_the_file_alone_is_the_papers_vehicle(paper):
-    """`quarter_car.xml` opens by itself with the paper's numbers in it, bit for bit those that the code writes."""
-    alone, written = mujoco.MjModel.from_xml_path(str(paper.kind.mjcf)), build_model(paper, 1e-3)
-    for field in ("body_mass", "tendon_stiffness", "tendon_damping", "tendon_lengthspring"):
-        np.testing.assert_array_equal(getattr(alone, field), getattr(written, field))
-    assert alone.opt.timestep == written.opt.timestep
-    assert alone.opt.integrator == written.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
 
 
 def test_attached_mjcf_is_the_model_that_ran(vehicle):

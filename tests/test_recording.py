@@ -12,21 +12,14 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from models.common.errors import InputError
-from models.common.files import check_folder, made_folder
 from models.kinds.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
-from models.roads.road import Bump
-from models.vehicle.vehicle import read_vehicle
 from sim.recording import rerun_writer
-from sim.recording.files import opening_lines, record
+from sim.recording.files import record
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
-from sim.recording.run_records import scene_of
 from sim.recording.scene import Motion, Scene, Shape
 from sim.response.response import Response
-from sim.runs.run import run_controllers, sample_times
-from synth.vehicle.designer import design
-from tests.commands import refused
 
 SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}
@@ -119,7 +112,7 @@ def messages(path: Path) -> dict[str, list]:
 
 
 def test_mcap_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> None:
-    """Times to the nanosecond and values to the bit, NaN, infinities and signed zeros included."""
+    """Times to the nanosecond and values to the bit, NaN, infinities and signed zeros included; what a signal is, too."""
     found = messages(paths["mcap"])
     assert set(found) == {f"/{topic}" for topic in TOPICS}
     for name, response in run.responses.items():
@@ -129,12 +122,7 @@ def test_mcap_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> No
         assert values.tobytes() == np.ascontiguousarray(response.values).tobytes()
         assert [message.log_time for _, _, message, _ in rows] == nanoseconds(response.time)
         assert all(message.publish_time == message.log_time for _, _, message, _ in rows)
-
-
-def test_mcap_says_what_a_signal_is(run: RunLog, paths: dict[str, Path]) -> None:
-    """Unit, symbol and meaning of every signal are in the channel's metadata."""
-    _, channel, _, _ = messages(paths["mcap"])["/mujoco"][0]
-    described = {name: json.loads(text) for name, text in channel.metadata.items()}
+    described = {name: json.loads(text) for name, text in found["/mujoco"][0][1].metadata.items()}
     assert described == {s.name: {"unit": s.unit, "symbol": s.symbol, "meaning": s.meaning} for s in SIGNALS}
 
 
@@ -262,8 +250,7 @@ def test_nothing_is_overwritten(run: RunLog, tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "bump.rrd", *second.values(), *third.values()])
 
 
-@pytest.mark.parametrize("error", [ValueError("no"), KeyboardInterrupt()])
-@pytest.mark.parametrize("moment", ["write_rrd", "replace"])
+@pytest.mark.parametrize(("error", "moment"), [(KeyboardInterrupt(), "write_rrd"), (ValueError("no"), "replace")])
 def test_an_unfinished_recording_leaves_nothing(
     run: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, moment: str
 ) -> None:
@@ -299,43 +286,7 @@ def test_a_cut_rerun_file_is_refused(run: RunLog, tmp_path: Path, monkeypatch: p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written_is_named(run: RunLog, tmp_path: Path) -> None:
-    """A file in the folder's place, or above it, is an error of one line, before a run and after."""
-    (tmp_path / "file").touch()
-    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        with refused(match=f"logs {folder}"):
-            check_folder(folder, "logs")
-        with pytest.raises(InputError):
-            record(folder, "bump", [run], {}, {})
-
-
-def test_a_folder_is_made(tmp_path: Path) -> None:
-    """A folder that is missing is made, parents too, and the trial file is gone."""
-    with made_folder(tmp_path / "deep" / "logs", "logs"):
-        pass
-    assert list((tmp_path / "deep" / "logs").iterdir()) == []
-
-
 def test_runs_of_one_name_are_refused(run: RunLog, tmp_path: Path) -> None:
     """Two runs of one name would be one in the files."""
     with pytest.raises(InputError, match="I, I"):
         record(tmp_path, "bump", [run, run], {}, {})
-
-
-def test_opening_lines_can_be_pasted() -> None:
-    """The lines name the files to open, quoted where a shell needs it."""
-    paths = {"mcap": Path("my logs/x.mcap"), "layout": Path("my logs/x.layout.json"), "rerun": Path("logs/x.rrd")}
-    assert opening_lines(paths) == [
-        "  rerun logs/x.rrd",
-        "  'my logs/x.mcap'",
-    ]
-
-
-@pytest.mark.parametrize("name", ["half_car", "full_car"])
-def test_forces_are_drawn_in_the_order_of_the_inputs(name):
-    """A scene has its forces in the order of the model's inputs, as logs have that were written before anything was fitted."""
-    vehicle = read_vehicle(name)
-    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.01), sample_times(vehicle, 0.1, 1e-3))
-    assert run.qpos is not None
-    scene = scene_of(run.prediction.input, run.physics, run.qpos)
-    assert [f"control_force{force.removeprefix('suspension')}" for force in scene.forces] == list(vehicle.linear_model.inputs)

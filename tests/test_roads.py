@@ -183,15 +183,6 @@ def test_velocity_is_the_derivative(road, side):
     assert tested > 2
 
 
-def test_flat_is_flat():
-    """A flat road is nothing anywhere, and can be driven."""
-    road, t = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0), np.linspace(-1, 5, 100)
-    assert not road.displacement(t).any()
-    assert not road.velocity(t).any()
-    assert described_road(road.describe()) == road == road.scaled(0.1)
-    road.check(read_vehicle("quarter_car"), np.arange(10) * 1e-3)
-
-
 def test_two_tracks_cohere_as_isotropy_says():
     """Left and right have the same spectrum, and the real coherency x K_1(x), x = 2 pi n b, of an isotropic surface."""
     width = 1.5
@@ -233,6 +224,9 @@ def test_wheels_of_a_full_car():
 
 def test_shapes():
     """Obstacles are as high as they say where they say, and flat elsewhere."""
+    flat = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0)
+    assert not flat.displacement(np.linspace(-1, 5, 100)).any()
+    assert described_road(flat.describe()) == flat == flat.scaled(0.1)
     hump = WattsHump(height=0.075, length=3.7, speed=10.0)
     assert hump.displacement(np.array([-0.1, 0.0, 0.185, 0.37, 1.0])) == pytest.approx([0, 0, 0.075, 0, 0], abs=1e-12)
     quarter = hump.displacement(np.array([0.0925]))[0] + hump.radius - 0.075
@@ -286,6 +280,21 @@ BAD_SURFACES = [  # (pattern in the file, its replacement, part of the message)
     (r" \.010000000000000000", " hello world 1234567", "(1 unreadable value(s) in the data (read as NaN)); give"),
     (r"\$KD_DEF", "$ROAD_CRG_FILE\nnone.crg\n$\n$KD_DEF", "(the data file referenced in the $ROAD_CRG_FILE block"),
 ]
+
+
+@pytest.mark.extra
+@pytest.mark.parametrize("form", ["LDFI", "KRBI"])
+def test_cut_opencrg(tmp_path, form):
+    """A surface that was cut between two cross-sections, where the reader warns only, or anywhere else is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
+    content = path.read_bytes()
+    data = content.index(b"\n", content.index(b"$$$$$$$$$$")) + 1
+    for cut in (data, data + 80, data + 160, (data + len(content)) // 2, len(content) - 7):
+        path.write_bytes(content[:cut])
+        with refused(f"road file {path}: "):
+            choose_road("road.crg", tmp_path)
 
 
 @pytest.mark.extra
@@ -390,7 +399,6 @@ HEADED = [  # (what stands above, how the numbers are read without it: columns a
     ("# distance [m], right [mm], left [mm]", (0, 2, 1), (1, 1e-3, 1e-3), ""),
     ("distance [feet],elevation [inches],t", (0, 1, 1), (0.3048, 0.0254, 0.0254), ""),
     ("time,distance,height", (1, 2, 2), (1, 1, 1), ""),
-    ("distance,height [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ""),
     ("distance [m],left [mm],right [mm]", (0, 2, 2), (1, 1e-3, 1e-3), ":columns=1,3"),
     ("distance,left [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ":height_unit=mm"),
     ("distance [furlong],height [yd],t", (0, 1, 1), (0.3048, 0.01, 0.01), ":distance_unit=ft:height_unit=cm"),
@@ -400,8 +408,10 @@ HEADED = [  # (what stands above, how the numbers are read without it: columns a
 ]
 
 
-@pytest.mark.parametrize(("above", "columns", "metres", "settings"), HEADED, ids=[row[0] + row[3] for row in HEADED])
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    ("above", "columns", "metres", "settings", "separator"),
+    [(*row, separator) for row, separator in zip(HEADED, itertools.cycle(",;\t"))],
+)
 def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separator):
     """Headings say which column is what, in which order, and in which unit, however separated; prose says nothing."""
     monkeypatch.setattr(profile_file, "WIDEST", np.inf)  # the same numbers in every unit and order are no likely road
@@ -424,7 +434,6 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
         ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', are both height; give the columns"),
         ("x,station,z", "", "columns 1, 'x' and 2, 'station', are both distance"),
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', and would be read as distance"),
-        ("height,distance,right", "", "column 1 is called 'height', and would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),
         ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', and would be read as height"),
         ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', is in cm, and distance_unit = m was given"),
@@ -436,10 +445,8 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
 def test_headings_that_contradict(tmp_path, above, settings, said):
     """Headings against the options, against what the order would make of them, or in a unit that is none, are refused."""
     (tmp_path / "road.csv").write_text(f"{above}\n0,0,0\n1,.01,.01\n2,.02,.01\n3,0,0\n")
-    with pytest.raises(InputError) as error:
+    with refused(said, f"road file {tmp_path / 'road.csv'}: "):
         choose_road(f"road.csv{settings}", tmp_path)
-    assert said in str(error.value)
-    assert str(error.value).startswith(f"road file {tmp_path / 'road.csv'}: ")
 
 
 DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
@@ -519,11 +526,9 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
     ("text", "said"),
     [
         ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
-        ("iso8608:class=", "unknown road class ''"),
         ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
         ("gravel", "unknown road 'gravel'; give iso8608, bump"),
         ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or one with its unit"),
-        ("pothole:depth", "'depth' is not NAME=VALUE"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
         (
             "pothole:length=0.3",
@@ -531,36 +536,23 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ),
         ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
         ("bump:track=middle", "track = 'middle'"),
-        ("watts_hump:height=2", "watts_hump height = 2 is not allowed"),
-        ("step:speed=3", "'speed=3' is not NAME=VALUE"),
         ("sweep:highest=0.1", "sweep highest"),
         ("nowhere.csv", "there is no such file"),
         ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
-        ("road.csv:columns=0,1", "columns = '0,1' is not allowed"),
         ("road.csv:columns=1", "as in columns=1,3"),
-        ("road.csv:columns=", "columns = '' is not allowed"),
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
         ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
         ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
-        ("iso8608:iri=301", "road iri = 301 is not allowed"),
-        ("iso8608:iri=-1", "road iri = -1 is not allowed"),
-        ("iso8608:iri=nan", "iri = 'nan' is not a finite number"),
-        ("road.csv:height_unit=mm:height_unit=m", "height_unit is given twice"),
     ],
 )
 def test_bad_roads(text, said):
     """A road that is none is refused in one line."""
     with refused(said):
         choose_road(text)
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, True, "1", 2**63])
-def test_bad_seeds(seed):
-    """A seed is a whole number."""
-    with pytest.raises(InputError, match="seed"):
-        Iso8608("C", seed)
+    with refused("seed = 1.5 is not allowed; give a whole number"):
+        Iso8608("C", 1.5)  # pyright: ignore[reportArgumentType]
 
 
 EVERY = [
@@ -631,16 +623,12 @@ def test_description_is_enough(road):
     ("description", "message"),
     [
         ({}, "unknown type"),
-        ({"type": ["bump"]}, "unknown type"),
         ({"type": "bump", "height": "a"}, "its height = 'a' is not allowed; give a number"),
-        ({"type": "bump"}, "its height = None is not allowed; give a number"),
         ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
         ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
-        ({**Bump().describe(), "speed": 1e9}, "speed = 1e\\+09 is not allowed"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
         ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list, each item a number"),
-        ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "not equally many"),
         ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
     ],
 )
@@ -648,11 +636,3 @@ def test_bad_description(description, message):
     """A description of no road, or of another one than it says, is refused."""
     with pytest.raises(InputError, match=message):
         described_road(description)
-
-
-def test_words_of_a_profile_are_of_heights(tmp_path):
-    """The lowest and highest point of a profile are in metres, though a random road's are frequencies."""
-    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n1,0.01\n2,-0.02\n3,0\n")
-    vehicle = read_vehicle("quarter_car")
-    profile = choose_road(str(tmp_path / "road.csv")).build(vehicle, 10.0, 0, 30.0)
-    assert "lowest -0.02 m, highest 0.01 m, speed 10 m/s" in profile.words

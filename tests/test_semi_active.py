@@ -100,10 +100,6 @@ def test_keys_change_a_law():
     assert "sky_damping 2000" in controller_lines(parse_vehicle(text), controller)[1]
     assert controller_object(controller)["sky_damping"] == 2000.0
     assert controller_object(controller)["norm"] is None
-    text = QUARTER + DAMPER + '[controllers.ground]\nsemi_active = "hybrid"\nmix = 0.0\nground_damping = 1000.0\n'
-    law, _ = law_of(text, "ground")
-    (found,) = law.coefficients(np.array([[0.2, -0.1]]), numbers_of([law], [parse_vehicle(text)]))
-    assert found == pytest.approx([1000.0 * 0.1 / 0.3])
 
 
 def test_modes_are_corners():

@@ -11,15 +11,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
-from models.common.threads import AHEAD, one_thread, side_by_side
+from models.common.threads import AHEAD, side_by_side
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
 from sim.physics.run_blocks import BatchInputs, in_blocks, in_shares
-from sim.runs.run import run_controllers
-from synth.controller import open_loop
 from tests.analysed import simulate
 from tests.shared import designed
 
@@ -31,22 +28,6 @@ HALVES = [slice(0, 4), slice(4, 8)]
 
 def times(timestep: float, duration: float) -> np.ndarray:
     return np.arange(round(duration / timestep) + 1) * timestep
-
-
-def test_a_block_has_one_thread_of_blas():
-    """BLAS has one thread within blocks, nested or not, and after the last one as many as before."""
-
-    def counts() -> set[int]:
-        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-    with threadpool_limits(limits=2, user_api="blas"):
-        before = counts()
-        with one_thread():
-            assert counts() <= {1}
-            with one_thread():
-                pass
-            assert counts() <= {1}
-        assert counts() == before
 
 
 @pytest.mark.parametrize("kind", ["quarter_car", pytest.param("full_car", marks=pytest.mark.attack)])
@@ -138,28 +119,3 @@ def test_work_is_taken_as_threads_become_free():
     assert sorted(results) == [(number, number**2) for number in range(10)]
     with pytest.raises(ZeroDivisionError), closing(side_by_side([lambda stopped: 1 / 0], 2)) as done:
         next(done)
-
-
-def test_what_runs_share_is_made_once(monkeypatch):
-    """The open loop is made once for each controller of a run, and its road is sampled once, whoever asks for them."""
-    loops, samples, time = list[str](), list[tuple[str, int]](), times(1e-3, 0.5)
-
-    class Counted(Bump):
-        def displacement(self, t, side=""):
-            samples.append(("midway" if t[1] % 1e-3 > 1e-9 else "heights", len(t)))
-            return super().displacement(t, side)
-
-        def velocity(self, t, side=""):
-            samples.append(("velocities", len(t)))
-            return super().velocity(t, side)
-
-    plain = open_loop.sampled
-    monkeypatch.setattr(open_loop, "sampled", lambda vehicle, one, period: loops.append(one.name) or plain(vehicle, one, period))
-    vehicle = read_vehicle("quarter_car")
-    runs = run_controllers(vehicle, [designed(vehicle, name) for name in ("passive", "I")], Counted(), time)
-    assert all(run.passed for run in runs)
-    assert loops == ["passive", "I"]
-    of_nodes = 8 * len(runs)  # of the quadrature for the continuous loop, and of the steps that hold a kink
-    whole = [what for what, count in samples if count == len(time)]
-    assert [whole.count(what) for what in ("heights", "midway")] == [1, 1]
-    assert whole.count("velocities") == 1 + of_nodes

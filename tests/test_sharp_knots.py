@@ -11,7 +11,7 @@ from models.roads.road import LOWEST, Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK, SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, ScaledPrediction, reference_at, smaller
+from sim.runs.prediction import Prediction, ScaledPrediction, reference_at
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from synth.controller.controller import Controller
@@ -112,14 +112,7 @@ def test_right_physics_agrees(name):
 
 @pytest.mark.attack
 @pytest.mark.parametrize("name", SOME)
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        "suspension_stiffness",
-        pytest.param("suspension_damping", marks=pytest.mark.attack),
-        pytest.param("sprung_mass", marks=pytest.mark.attack),
-    ],
-)
+@pytest.mark.parametrize("wrong", ["suspension_stiffness", "suspension_damping", "sprung_mass"])
 def test_a_force_that_nobody_wrote_down_is_found(name, wrong):
     """A body, a damper or a spring that is 1 % more than is written is no integrator's error, and disagrees."""
     vehicle, _, _ = car(name)
@@ -144,26 +137,13 @@ def test_rk4_is_foretold_over_a_share_of_the_road(name):
         assert np.abs(physics[signal] - integrated[signal]).max() <= 3e-7 * integrated.scale(signal)
 
 
-@pytest.mark.parametrize("kind", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])
-def test_what_is_in_proportion_is_not_computed_again(kind):
-    """For a car without curves the integrator's share of a smaller motion is that of the whole, to the last bit."""
-    vehicle = read_vehicle(kind)
-    (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 0.35, 1e-3))
-    share = smaller(run.prediction, SMALL)
-    assert share.integrated is None
-    assert np.array_equal(share.sampled.values, SMALL * run.sampled.values)
-    for one in run.agreement.signals.values():
-        assert one.judged[1] == one.allowed + (1 / SMALL - 1) * one.rounding + SLACK * SMALL * one.sampled
-
-
 @pytest.mark.attack
 @pytest.mark.parametrize("name", SOME)
-@pytest.mark.parametrize("height", [LOWEST, pytest.param(1e-4, marks=pytest.mark.attack)])
-def test_over_the_lowest_roads_rounding_counts(name, height):
+def test_over_the_lowest_roads_rounding_counts(name):
     """If a bump is next to none and friction holds, right physics agrees, too."""
     vehicle, controller, road = car(name)
     time = sample_times(vehicle, 0.35, 1e-3)
-    (run,) = run_controllers(vehicle, [controller], replace(road, height=height), time)
+    (run,) = run_controllers(vehicle, [controller], replace(road, height=LOWEST), time)
     assert run.agreement.agrees
 
 
@@ -180,23 +160,3 @@ def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
     assert worst.allowed < COARSEST  # over the whole bump
     assert any("the timestep is too coarse, give a smaller one" in line for line in verdict_lines(coarse))
     assert run_at(5e-4).passed
-
-
-def random_car(rng: np.random.Generator) -> str:
-    """A half-car, pushed, with adjustable dampers or with a measured pair, and random friction, as sharp as 2 mm/s."""
-    text, friction = (PUSHED, BOTH, PAIR)[int(rng.integers(3))], float(np.exp(rng.uniform(*np.log([5.0, 300.0]))))
-    front, rear = np.exp(rng.uniform(np.log(0.002), np.log(0.05), 2)).tolist()
-    return rough(text, friction, front=front, rear=rear)
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(2))
-def test_right_physics_agrees_anywhere(seed):
-    """The same of random friction over random bumps, at random steps."""
-    rng = np.random.default_rng(seed)
-    vehicle = parse_vehicle(random_car(rng))
-    road = Bump(float(np.exp(rng.uniform(*np.log([1e-3, 0.1])))), float(rng.uniform(2, 10)), float(rng.uniform(5, 30)))
-    time = sample_times(vehicle, 0.5, float(rng.choice([2.5e-4, 5e-4, 1e-3])))
-    for name in ("passive", "sky"):
-        (run,) = run_controllers(vehicle, [controller_of(vehicle, name)], road, time)
-        assert run.passed, (name, verdict(run))

@@ -19,7 +19,6 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 
 # (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
 CHANGES = [
-    ("not TOML", MASS, "sprung_mass is 504.5", ["not TOML", "line 5"]),
     ("a decimal comma", MASS, "sprung_mass = 504,5", ["not TOML", "write 504.5 for 504,5"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
     (
@@ -30,28 +29,18 @@ CHANGES = [
     ),
     ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
-    ("unknown type", '"quarter_car"', '"bicycle"', ["'bicycle'", "known: ", "quarter_car"]),
     ("type is a number", '"quarter_car"', "4", ["type = 4", "known: "]),
     ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
     ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
     ("negative mass", MASS, "sprung_mass = -504.5", ["sprung_mass = -504.5", "from 1e-06 to 1e+12 kg"]),
-    ("negative damping", "= 400.0", "= -400.0", ["suspension_damping = -400.0", "from 0 to 1e+12 N s/m"]),
     ("NaN", MASS, "sprung_mass = nan", ["sprung_mass = nan", "from 1e-06 to 1e+12 kg"]),
     ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 99999", "from 1e-06 to 1e+12 kg"]),
     ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
-    ("true for a number", MASS, "sprung_mass = true", ["sprung_mass = True", "a number"]),
-    ("list for a number", MASS, "sprung_mass = [504.5]", ["sprung_mass = [504.5]", "a number"]),
     ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
     ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
     ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
-    ("weight that rounds away", WEIGHT, "sprung_acceleration = 1e-300", ["sprung_acceleration = 1e-300", "1e-12 to 1e+12"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    (
-        "unknown controller key",
-        MINE,
-        f"{MINE}\ngains = [[1.0, 2.0]]",
-        ["[controllers.I]", "'gains'", "lag, law, loads, measured"],
-    ),
+    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "lag, law, loads"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain with A: a controller has one law"]),
     (
@@ -60,33 +49,16 @@ CHANGES = [
         f"{MINE}\n{LAW}".replace("C = [[1.0]]", "C = [[1.0, 2.0]]"),
         ["C has 1 row(s) of 2 number(s); give 1 row(s) of 1"],
     ),
-    (
-        "a law without end",
-        MINE,
-        f"{MINE}\n{LAW.replace('A = [[-1.0]]', 'A = [[nan]]')}",
-        ["A = [[nan]] is not a matrix of numbers"],
-    ),
-    (
-        "a law beyond floats",
-        MINE,
-        f"{MINE}\n{LAW}".replace("-1.0", f"1{'0' * 400}"),
-        ["[controllers.I] A = [[10000", "is not a matrix of numbers"],
-    ),
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
-    ("a rate that is none", MINE, f"{MINE}\n{LAW}\nsample_period = -1", ["sample_period = -1", "seconds from"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
-    ("measured as text", MINE, 'measured = "sprung_velocity"', ["[controllers.I] measured = 'sprung_velocity'", MEASURABLE]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
     ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
-    ("gain NaN", MINE, f"{MINE}\ngain = [[nan, 1.0]]", ["gain = [[nan, 1.0]]", "number(s)"]),
-    ("gain in words", MINE, f'{MINE}\ngain = [["a", "b"]]', ["gain = [['a', 'b']]", "number(s)"]),
     ("gain that overflows", MINE, f"{MINE}\ngain = [[1e300, 1.0]]", ["gain = [[1e+300, 1.0]]", "at most 1e+12"]),
     ("a taken name", "[controllers.I]", "[controllers.passive]", ["[controllers.passive]", "rename"]),
     ("no name", "[controllers.I]", '[controllers.""]', ["name", "letters, digits"]),
-    ("a name that is a path", "[controllers.I]", '[controllers."../I"]', ["[controllers.../I]", "letters, digits"]),
     ("a name too long for a file", "[controllers.I]", f"[controllers.{'I' * 70}]", ["at most 60"]),
 ]
 
@@ -98,14 +70,11 @@ BOTH = f"[controllers.mine]\n{MINE}"
 ADDED = {
     ("quarter_car", VELOCITY): [
         ("stable = true", "no law, order or design with stable = true: it is a law designed with an order"),
-        ("gain = [[1.0]]\nstable = true", "with stable = true: it is a law designed with an order"),
         ('order = "half"', "order = 'half' is not known; known: full"),
         ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
-        ('order = "full"\ndesign = "lqg"', 'order = "full" with design = "lqg": '),
         ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
         ('design = "lqr"', 'design = "lqr" is of the state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
-        ("anti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
         ("sampled = true", "mine] has sampled = true, and ", "no sample period"),
         (
             f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
@@ -113,14 +82,12 @@ ADDED = {
         ),
         (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "gain with sampled = true: a law that is given is not designed"),
     ],
-    ("quarter_car", "[controllers.mine]"): [
-        ('measured = ["control_force"]', "says nothing of the state"),
-    ],
     ("quarter_car", BOTH): [
+        ("noise = 0.1", "noise = 0.1 is not allowed; give true or false"),
+        (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, and nothing clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
         ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
-        ("loads = { heave_load = true }", "heave_load = True"),
         ("loads = true", "loads = True is no table"),
         ('loads = { heave_load = 1e3 }\ndesign = "h2"', 'design = "h2" with loads: ', 'choose design = "h2"'),
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
@@ -129,14 +96,12 @@ ADDED = {
         ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is run as it is"),
         ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
-        ('semi_active = "hybrid"\nmix = 1.5', "mix = 1.5 is not allowed; give a number from 0 to 1"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
         ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
         ('semi_active = "skyhook_modal"', "is of a body that pitches or rolls"),
     ],
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, and ", "gives no sample period"),
-        ("delay = -0.5", "delay = -0.5", "number from 0 to 50"),
         ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
         ("seed = 1.5", "seed = 1.5", "whole number"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
@@ -147,34 +112,29 @@ ADDED = {
         ("mix = 0.5", "mix is of a semi-active law; give one"),
     ],
     ("full_car", ""): [
-        ("[limits.middle]\nsuspension_stroke = 0.1", "[limits.middle]", "no suspension", "front, front_left, front_right, rear"),
+        (
+            "[limits.middle]\nsuspension_stroke = 0.1",
+            "[limits.middle]",
+            "not a suspension",
+            "front, front_left, front_right, rear",
+        ),
         ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
         ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
-        (
-            "[limits.rear]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop_stiffness = { bump = 1e5 }",
-            "of rear_left has rebound, stop_stiffness has none",
-        ),
         ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
-        ("[limits.rear.left]\nsuspension_stroke = 0.1", "[limits.rear] unknown key 'left'"),
     ],
-    ("full_car", "[limits]"): [
-        ("rear = 0.1", "unknown key 'rear'"),
-    ],
+    ("full_car", "[limits]"): [],
     ("quarter_car", "[limits]"): [
-        ("suspension_stroke = {}\nstop_stiffness = 1e5", "suspension_stroke", "bump = ..., rebound = ..."),
         ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
         ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "suspension_stroke rebound = -0.1"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
         ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
-        ("suspension_stroke = 0.1\nstop_stiffness = [[1e5]]", "is not allowed; give a number", "N/m"),
         ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
         (
             'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
             "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or leave the quotes out",
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
-        ("stroke = 0.1", "unknown key 'stroke'", "suspension_stroke"),
     ],
 }
 
@@ -212,21 +172,18 @@ def test_the_file_that_ships_is_the_papers(paper):
 
 
 def test_passive_and_state_always_exist(text):
-    """A vehicle file without controllers still has two: no force, and full state feedback."""
-    assert parse_vehicle(text.split("[controllers.I]")[0]).controller_names == ("passive", "state")
+    """A vehicle file without controllers still has two: no force, and full state feedback. Whole numbers and no damping do."""
+    vehicle = parse_vehicle(text.split("[controllers.I]")[0].replace("= 400.0", "= 0").replace("= 504.5", "= 500"))
+    assert vehicle.controller_names == ("passive", "state")
+    assert (vehicle.parameters["suspension_damping"], vehicle.parameters["sprung_mass"]) == (0.0, 500.0)
 
 
 @pytest.mark.parametrize(("old", "new", "said"), [row[1:] for row in CHANGES], ids=[row[0] for row in CHANGES])
 def test_a_mistake_is_named(text, old, new, said):
     """One wrong entry is refused in one line that names the key and what is allowed."""
     assert text.count(old) >= 1
-    with pytest.raises(InputError) as error:
+    with refused(*said, match=r"\A.{,400}\Z"):  # a line, not a page: values are shortened
         parse_vehicle(text.replace(old, new, 1))
-    message = str(error.value)
-    for part in said:
-        assert part in message
-    assert len(message.splitlines()) == 1
-    assert len(message) < 400  # a line, not a page: values are shortened
 
 
 @pytest.mark.parametrize(
@@ -267,13 +224,6 @@ def test_controllers_are_sections(text):
         parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
 
 
-def test_zero_damping_and_integers_are_allowed(text):
-    """An undamped suspension is a vehicle, and 500 is a number as good as 500.0."""
-    vehicle = parse_vehicle(text.replace("= 400.0", "= 0").replace("= 504.5", "= 500"))
-    assert vehicle.parameters["suspension_damping"] == 0.0
-    assert vehicle.parameters["sprung_mass"] == 500.0
-
-
 def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
     """A vehicle that ships is found by name, but a file of that name comes first; a byte order mark is no mistake."""
     monkeypatch.chdir(tmp_path)
@@ -298,11 +248,8 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
         path.mkdir()
     elif content is not None:
         path.write_bytes(content)
-    with pytest.raises(InputError) as error:
+    with refused(str(path), said):
         read_vehicle(path)
-    assert str(path) in str(error.value)
-    assert said in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(

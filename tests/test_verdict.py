@@ -14,7 +14,7 @@ from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.sampled_response import roundings
 from sim.response.response import Response
-from sim.runs.agreement import SMALL, compare, foretell, look_closer
+from sim.runs.agreement import SMALL, compare, look_closer
 from sim.runs.prediction import Prediction, smaller
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
@@ -101,7 +101,7 @@ def test_rounding_is_bounded(vehicle, controllers):
         assert max(found[name] / allowed[name] for name in allowed if allowed[name]) > 1e-2
 
 
-@pytest.mark.parametrize("slow", [1e-300, -1e-6, *attacks((1e-12, 1e-6))])
+@pytest.mark.parametrize("slow", [1e-300, -1e-6])
 def test_a_slow_law_is_allowed_no_more(vehicle, slow):
     """A law that integrates but for a mode slower than any run is judged as the integrator is: its gain at rest is of no run."""
     forces = len(vehicle.linear_model.inputs)
@@ -134,9 +134,7 @@ def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
         assert run.passed, (run.controller.name, verdict_lines(run))
 
 
-@pytest.mark.parametrize(
-    ("duration", "height"), [(0.6, 0.1), (0.2, LOWEST), *attacks([(0.2, 0.1), (0.2, 1e-3), (0.6, 1e-3), (0.6, LOWEST)])]
-)
+@pytest.mark.parametrize(("duration", "height"), [(0.6, 0.1), (0.2, LOWEST), *attacks([(0.6, 1e-3)])])
 def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
     """A body that is heavier by a ten-thousandth, or a force that is late by a step, is found over any road."""
     controller, time = controllers[2], sample_times(vehicle, duration, 1e-3)
@@ -218,23 +216,6 @@ def test_geometry_is_foretold_beside_what_every_height_has(name, height, step, n
     assert not judged(prediction, heavier(car, 0.01)).agreement.agrees
 
 
-@pytest.mark.parametrize(("share", "excused"), [(1.0, True), (1.1, False)])
-def test_rounding_of_three_heights_is_no_mistake(share, excused):
-    """Where rounding errs up over the whole road and a quarter, and down over half, geometry explains it, and no tenth more."""
-    car = read_vehicle("half_car")
-    car = dataclasses.replace(car, kind=dataclasses.replace(car.kind, motion=None))
-    passive = Designer(car).design("passive")
-    prediction = predict(car, passive, Bump(height=1e-10), sample_times(car, 0.2, 1e-3))  # of rounding alone
-    off = share * np.array([roundings(car, passive).get(name, 0.0) for name in prediction.integrated.names])
-    whole, half, quarter = (
-        dataclasses.replace(prediction.integrated, values=part * prediction.integrated.values + sign * off)
-        for part, sign in ((1.0, 1), (0.5, -1), (0.25, 1))
-    )
-    parts = [(made, smaller(prediction, part)) for made, part in ((half, 0.5), (quarter, 0.25))]
-    found = foretell(compare(prediction, whole), prediction, whole, parts)
-    assert all(signal.is_geometry for signal in found.signals.values()) is excused
-
-
 @pytest.mark.parametrize("seed", [68, 89, 111])
 def test_a_tyre_that_is_loose_within_a_step_ends_the_comparison(seed):
     """A road with waves as short as a step is lower where MuJoCo holds it than its samples say; a tyre that is loose there is."""
@@ -267,7 +248,7 @@ NOISY = {
 
 
 @pytest.mark.parametrize("how", NOISY)
-@pytest.mark.parametrize("height", [1e-3, *attacks([0.1])])
+@pytest.mark.parametrize("height", [1e-3])
 def test_noise_in_an_unstable_loop_agrees(how, height):
     """The effect of noise grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=NOISY[how])
@@ -282,8 +263,9 @@ def test_noise_in_an_unstable_loop_agrees(how, height):
     assert not judged(predict(paper, controller, Bump(height=0.1), prediction.time), heavier(paper, 1.0)).agreement.agrees
 
 
-@pytest.mark.parametrize("height", [1e-4, 1e-9, 0.0])
-@pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=30)])
+@pytest.mark.parametrize(
+    ("how", "height"), [(Implementation(), 0.0), *((Implementation(sample_period=0.004, delay=30), h) for h in (1e-4, 1e-9))]
+)
 def test_rounding_grows_with_an_unstable_loop(how, height):
     """Over a road that does next to nothing an unstable loop makes much of rounding, and that is no disagreement."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
@@ -330,18 +312,6 @@ def test_rounding_counts_alike_over_every_height(vehicle, controllers):
     assert not look_closer(agreement, smaller(prediction, SMALL), moved(SMALL, 300.0)).agrees
 
 
-def test_the_signal_that_fails_is_named():
-    """The named signal is not the one that geometry moves most."""
-    car = read_vehicle("full_car")
-    (run,) = run_controllers(car, [Designer(car).design("passive")], Bump(), sample_times(car, 0.2, 1e-3))
-    signals = run.agreement.signals
-    quiet = min(signals, key=lambda name: signals[name].sampled)
-    wrong = dataclasses.replace(signals[quiet], small=2 * signals[quiet].judged[1])
-    agreement = dataclasses.replace(run.agreement, signals={**signals, quiet: wrong})
-    line = _says_what_is_wrong(dataclasses.replace(run, agreement=agreement))
-    assert f"(worst {quiet}, " in line
-
-
 def random_road(rng: np.random.Generator) -> Road:
     speed = float(rng.uniform(3, 35))
     if rng.random() < 0.6:
@@ -351,7 +321,7 @@ def random_road(rng: np.random.Generator) -> Road:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
     """The same over roads, times and steps drawn at random."""
     rng = np.random.default_rng(seed)
@@ -359,24 +329,3 @@ def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
     duration = min(float(np.exp(rng.uniform(*np.log(DURATIONS)))), MOST * step)
     for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, step)):
         assert run.agreement.agrees, (road.describe(), duration, step, run.controller.name, verdict_lines(run))
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(2))
-def test_any_car_is_judged_alike(seed):
-    """Half and full cars of any weight and size, on soft and stiff tyres, agree; what is 2 % too strong is found in each."""
-    rng = np.random.default_rng(20261124 + seed)
-    for kind in ("half_car", "full_car") * 2:
-        heavy, stiff, long = np.exp(rng.uniform(np.log((0.3, 0.3, 0.6)), np.log((3.0, 4.0, 1.5))))
-        ranges = {"sprung_mass": heavy, "unsprung_mass": heavy, "tyre_stiffness": stiff, "axle_distance": long, "track": long}
-        ranges |= {"pitch_inertia": heavy * long**2, "roll_inertia": heavy * long**2, "suspension": 1.0}
-        vehicle = scaled(read_vehicle(kind), {name: factor * rng.uniform(0.8, 1.25) for name, factor in ranges.items()})
-        track = str(rng.choice(["both", "left", "right"])) if kind == "full_car" else "both"
-        road = Bump(float(rng.uniform(0.01, 0.08)), float(rng.uniform(1, 8)), float(rng.uniform(4, 30)), track)
-        step = float(rng.choice([5e-4, 1e-3]))
-        prediction = predict(vehicle, Designer(vehicle).design("passive"), road, sample_times(vehicle, 1.0, step))
-        run = judged(prediction, vehicle)
-        assert run.agreement.agrees, (vehicle.parameters, road.describe(), step, verdict_lines(run))
-        for wrong in too_strong(vehicle):
-            found = judged(prediction, wrong).agreement
-            assert not found.agrees, (vehicle.parameters, road.describe(), step, found.until)
