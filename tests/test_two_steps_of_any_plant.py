@@ -15,7 +15,6 @@ from synth.analysis.norm import hinf_norm
 from synth.command.cross_check import cross_check
 from synth.controller.report import notes
 from synth.design.descent.refine import refine
-from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, two_step_design, well_posed
 from synth.lmi.central_path import Basis, unknowns
 from synth.lmi.full_order_bound import find_lower_bound
@@ -449,16 +448,6 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     assert (
         "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
     )
-
-
-def test_what_has_no_solution_is_not_searched_for():
-    """If problem (25) has no solution from any X, that is the answer; x'' = x + u from x' has no static gain."""
-    C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0.0], [1.0]])
-    plant = GeneralizedPlant(
-        np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[0.0], [1.0]]), np.ones((2, 1)), C, D, np.zeros((3, 1))
-    )
-    with pytest.raises(InfeasibleError, match=r"whose mode at 1 1/s does not decay"):
-        two_steps_or_descent(plant, np.array([[0.0, 1.0]]))
 
 
 def test_one_broken_path_is_no_proof(monkeypatch, designer):
