@@ -24,6 +24,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, in_the_suite, prose
+from tests.test_discrete import held
 
 README = GeneralizedPlant(
     A=np.array([[0.0, 1], [-4, -0.1]]),
@@ -45,6 +46,7 @@ def beside(plant: GeneralizedPlant, A2, A21, B2, Bw2) -> GeneralizedPlant:
         C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
         D=plant.D,
         Dw=plant.Dw,
+        dt=plant.dt,
     )
 
 
@@ -103,10 +105,11 @@ def drawn(seed: int) -> tuple[str, GeneralizedPlant, np.ndarray]:
 def test_a_state_that_z_does_not_see_changes_nothing(driven, designer):
     """Beside a plant it gets no gain, and the other gains, the bound and the norm are those of the plant without it."""
     rng = np.random.default_rng(1)
-    for plant, Cy in ((README, np.array([[0.0, 1.0]])), (designer.plant, np.eye(4)[[0, 2]])):
+    car, Cy_of_I, A2 = designer.plant, np.eye(4)[[0, 2]], np.array([[-3.0, 1.0], [-1.0, -3.0]])
+    for plant, Cy in ((README, np.array([[0.0, 1.0]])), (car, Cy_of_I), (held(car, 0.01), Cy_of_I)):
         n, m, r = len(plant.A), plant.B.shape[1], plant.Bw.shape[1]
         drives = [on * rng.standard_normal((2, size)) for on, size in zip(driven, (n, m, r), strict=True)]
-        wide = beside(plant, np.array([[-3.0, 1.0], [-1.0, -3.0]]), *drives)
+        wide = beside(plant, A2 if plant.dt is None else np.eye(2) + plant.dt * A2, *drives)
         path, without = state_path(wide), state_path(plant)
         assert path[-1].gamma == pytest.approx(without[-1].gamma, rel=1e-9)
         assert not np.any(path[-1].K[:, n:])
