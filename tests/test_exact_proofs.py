@@ -178,7 +178,7 @@ def attack_at_the_edge(rng, count: int) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize(
-    ("seed", "count", "more", "some"), [(6, 40, 4, 0), pytest.param(7, 600, 80, 6, marks=pytest.mark.attack)]
+    ("seed", "count", "more", "some"), [(6, 100, 10, 0), pytest.param(7, 600, 80, 6, marks=pytest.mark.attack)]
 )
 def test_no_proof_at_the_edge_is_rounding(seed, count, more, some):
     """If the last digits of eta or of X decide, what is proved is true; without the allowance some of it would not be."""

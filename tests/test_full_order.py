@@ -23,8 +23,8 @@ from synth.plant.units import speed
 from tests.active_suspension import PRINTED, SCENARIOS, active_suspension
 from tests.commands import attacks, in_the_suite
 from tests.shared import made
-from tests.test_bounds_hold import a_plant
-from tests.test_units import Moved, any_plant
+from tests.test_bounds_hold import KINDS, a_plant
+from tests.test_units import Moved, any_plant, in_other_units
 
 
 def loop_by_hand(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray) -> GeneralizedPlant:
@@ -321,6 +321,30 @@ def test_what_cannot_be_designed():
             full_order_design(found, rows, states=names[: len(found.A)])
     with pytest.raises(InputError, match="Dyw has shape"):
         full_order_design(plant, Cy, np.zeros((len(Cy), n + 7)))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("kind", [*KINDS, "any", "other units"])
+def test_hostile_plants(kind):
+    """Of every kind of plant, in any units, every claim holds, or one line says why there is no controller; never a traceback."""
+    said = list[str]()
+    for seed in range(20, 23):
+        if kind in ("any", "other units"):
+            plant, Cy = any_plant(seed)
+            if kind == "other units":
+                plant, Cy, _ = in_other_units(plant, Cy, seed)
+        else:
+            plant, Cy = a_plant(kind, seed)
+        try:
+            found = full_order_design(plant, Cy)
+        except DesignError as error:
+            said.append(str(error))
+            continue
+        holds(plant, Cy, found)
+        break
+    else:
+        pytest.fail("none has a controller")
+    assert not any("\n" in line for line in said)
 
 
 @pytest.mark.attack

@@ -150,7 +150,7 @@ def test_a_car_whose_energies_lie_far_apart():
     vehicle = replace(read_vehicle("full_car"), implementation=Implementation(0.03, 1))
     loop = sampled_loop(vehicle, design(vehicle, "I"))
     norm = sampled_norm(loop)
-    for parts in (4, 16):
+    for parts in (8, 12):
         assert reached_gain(loop, norm.angle, parts) == pytest.approx(norm.value, rel=1e-11)  # the norm is found to 1e-11
 
 
