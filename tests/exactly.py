@@ -81,11 +81,15 @@ def gain_squared(A: Matrix, Bw: Matrix, C: Matrix, omega: float | Fraction) -> F
 
 
 def bounded_real(plant, G, X) -> Matrix:
-    """The matrix of (20) at eta = 0 for u = G x, or u = K y; X is symmetric."""
+    """The matrix of (20) at eta = 0 for u = G x, or u = K y, of a discrete plant its discrete form; X is symmetric."""
     A, B, C, D, x = (exact(part) for part in (plant.A, plant.B, plant.C, plant.D, X))
     g = times(exact(G.K), exact(G.Cy)) if isinstance(G, Feedback) else exact(G)
     n, d = len(A), len(C)
     loop = [plus(A, times(B, g)), plus(C, times(D, g))] if g else [A, C]
+    if plant.dt is not None:
+        whole = loop[0] + loop[1]
+        there = [[-x[i][j] if max(i, j) < n else -Fraction(i == j) for j in range(n + d)] for i in range(n + d)]
+        return plus(times(times(whole, x), [list(column) for column in zip(*whole, strict=True)]), there)
     left = [[*row, *[Fraction(0)] * d] for part in loop for row in times(part, x)]
     for i in range(d):
         left[n + i][n + i] = Fraction(-1, 2)

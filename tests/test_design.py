@@ -9,14 +9,12 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from synth.analysis.stability import stabilisability_failures
 from synth.controller.report import notes
 from synth.design.fallback import two_steps_or_descent
 from synth.design.static import static_output_feedback
 from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix, state_feedback
-from synth.lmi.sdp import solve_lmi
+from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
@@ -57,31 +55,6 @@ def test_paper_from_a_state_space(space, designer, paper):
     assert design.certificate.failures == ()
 
 
-@pytest.mark.parametrize("seed", range(3))  # of the next, no X of the path leads to a gain
-def test_random_plants_with_feedthrough(seed):
-    """Several inputs, outputs, disturbances and a D_w: the second step's bound is Clarabel's, and the certificate holds."""
-    rng = np.random.default_rng(seed)
-    n, m, r = 5, 2, 3
-    A = rng.standard_normal((n, n))
-    plant = GeneralizedPlant(
-        A=A - (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(n),
-        B=rng.standard_normal((n, m)),
-        Bw=rng.standard_normal((n, r)),
-        C=np.vstack([rng.standard_normal((2, n)), np.zeros((m, n))]),
-        D=np.vstack([np.zeros((2, m)), np.eye(m)]),
-        Dw=0.3 * rng.standard_normal((2 + m, r)),
-    )
-    Cy = rng.standard_normal((3, n))
-    path = state_path(plant)
-    design = two_step_design(plant, Cy, path)
-    assert design.certificate.failures == ()
-    assert design.certificate.bound is not None
-    if design.state_step_gap == design.optimum_gap == 0:
-        Q = nullspace(Cy)
-        solved = solve_lmi(plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
-        assert design.certificate.bound == pytest.approx(solved.gamma, rel=2e-5)  # where Clarabel stops
-
-
 def test_redundant_measurements_are_left_out(designer):
     """A signal that follows from the others changes nothing, gets no gain, and is named; so with inputs that do the same."""
     alone = designer.design("I")
@@ -118,8 +91,7 @@ def test_nearly_dependent_signals_that_say_all(apart):
         np.testing.assert_allclose(design.gain @ Cy, state.gain, rtol=0, atol=(1e-6 + 4e-16 / apart) * np.abs(state.gain).max())
 
 
-@pytest.mark.parametrize("apart", [1e-3, 1e-6, 1e-9])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "apart"), [(0, 1e-3), (1, 1e-6), (2, 1e-9)])
 def test_a_design_depends_on_what_the_signals_span(seed, apart):
     """For the two steps: signals of which one nearly follows from the other give the loop that any others of their span give."""
     rng = np.random.default_rng(seed)
@@ -132,12 +104,6 @@ def test_a_design_depends_on_what_the_signals_span(seed, apart):
     # What rounding took of the rows counts 1 / apart fold; and 1e-6 for where the path is stopped.
     np.testing.assert_allclose(loops[1], loops[0], rtol=0, atol=(1e-6 + 1e-14 / apart) * np.abs(loops[0]).max())
     assert designs[1].certificate.failures == ()
-
-
-def test_rounding_that_ends_l_is_said():
-    """If X leaves (14) no inverse there is a reason in words, not numpy's error."""
-    with pytest.raises(DesignError, match=r"L \(14\) could not be computed: C_y X C_y' is singular to rounding"):
-        l_matrix(np.diag([1.0, 0, 0]), np.eye(3)[1:], np.eye(3)[:, :1])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -173,11 +139,11 @@ def test_redundant_signal_of_a_vehicle_is_named():
     assert any("measures in vain" in note for note in notes(controller))
 
 
-def plant_of(A, B) -> GeneralizedPlant:
+def plant_of(A, B, dt: float | None = None) -> GeneralizedPlant:
     A, B = np.array(A, dtype=float), np.array(B, dtype=float)
     n, m = B.shape
     C = np.vstack([np.eye(n), np.zeros((m, n))])
-    return GeneralizedPlant(A, B, np.ones((n, 1)), C, np.vstack([np.zeros((n, m)), np.eye(m)]), np.zeros((n + m, 1)))
+    return GeneralizedPlant(A, B, np.ones((n, 1)), C, np.vstack([np.zeros((n, m)), np.eye(m)]), np.zeros((n + m, 1)), dt=dt)
 
 
 @pytest.mark.parametrize("name", ["state", "I"])
@@ -199,41 +165,36 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
         assert note.startswith(f"gain not settled: over the last step of its path it moved by {percent} % of its largest entry")
 
 
-def test_unreached_mode_is_named():
-    """An unstable mode that no input reaches is named by its rate and its state."""
-    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 1 1/s.*in x1"):
-        state_path(plant_of([[1, 0], [0, -1]], [[0], [1]]))
-    oscillator = plant_of([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]])
-    with pytest.raises(InfeasibleError, match=r"the mode at 0\+2j rad/s.*in position"):
-        state_path(oscillator, ["position", "velocity", "other"])
+CHAIN = np.diag(np.ones(2), 1)
+NO_DESIGN = (  # A, B, C_y, the period, and why
+    ([[1, 0], [0, -1]], [[0], [1]], [[1, 1]], None, r"no input reaches the mode at 1 1/s.*in x1"),
+    ([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]], np.eye(3), None, r"no input reaches the mode at 0\+2j rad/s.*in x1"),
+    ([[1, 0], [0, -1]], [[1], [1]], [[0, 1]], None, r"no measurement shows the mode at 1 1/s.*in x1"),
+    (CHAIN[:2, :2], [[0], [1]], [[1, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
+    (CHAIN, [[0], [0], [1]], [[1, 0, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
+    ([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 0\+1j rad/s does not decay: .*C_y B = 0.*all poles stays 0 1/s"),
+    ([[0, 1], [1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 1 1/s does not decay: .*C_y B = 0"),
+    ([[0, 1], [1, 0]], [[0], [1]], [[0, 1]], None, r"mode at 1 1/s does not decay: .*one pole stays real and above zero"),
+    ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1.2, which does not decay"),
+    ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = -1, which does not decay"),
+    ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1, which does not decay"),
+    ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "no measurement shows the mode at z = 1.2, which does not decay"),
+    ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3, and their number is 2"),
+)
 
 
-def test_unseen_mode_is_named():
-    """So is one that no measurement shows."""
-    plant = plant_of([[1, 0], [0, -1]], [[1], [1]])
-    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 1 1/s.*in x1"):
-        two_step_design(plant, np.array([[0.0, 1.0]]))
+@pytest.mark.parametrize("design", [two_step_design, two_steps_or_descent])
+@pytest.mark.parametrize(("A", "B", "Cy", "dt", "message"), NO_DESIGN)
+def test_what_no_static_gain_stabilises_is_named(design, A, B, Cy, dt, message):
+    """If no input reaches a mode, no measurement shows it, or no static gain moves it, one line names it; no search."""
+    with pytest.raises(InfeasibleError, match=message) as caught:
+        design(plant_of(A, B, dt), np.array(Cy, dtype=float))
+    assert len(str(caught.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize("n", [2, 3])
-def test_integrators(n):
-    """No force from the position alone damps a mass, which is said in one line; from all states two masses in a row are damped.
-
-    Chains of integrators have no time of their own: all poles are 0 but for rounding.
-    """
-    chain = plant_of(np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:])
-    with pytest.raises(InfeasibleError, match=r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)") as caught:
-        two_step_design(chain, np.eye(n)[:1])
-    assert "\n" not in str(caught.value)
-    assert state_design(chain).certificate.failures == ()
-
-
-def test_units_of_a_measurement_change_nothing(designer):
-    """A signal in other units, ten orders of magnitude apart, is the same signal: none vanishes beside another."""
-    alone, Cy = designer.design("I").gain, np.eye(4)[[0, 2]]
-    for units in ([1e5, 1e-5], [1e-8, 1.0]):
-        gain = two_step_design(designer.plant, np.array(units)[:, None] * Cy, designer.state_path).gain
-        np.testing.assert_allclose(gain * units, alone, rtol=1e-6)  # where the path is stopped, twice
+def test_masses_in_a_row_are_damped():
+    """Chains of integrators have no time of their own: all poles are 0 but for rounding. From all states they are damped."""
+    assert state_design(plant_of(CHAIN, np.eye(3)[:, -1:])).certificate.failures == ()
 
 
 def test_input_that_costs_nothing_has_a_bound():
@@ -249,22 +210,6 @@ def test_input_that_costs_nothing_has_a_bound():
     assert 0 <= find_lower_bound(plant, np.ones((1, 2))).gamma < 1.2  # its norm without control is 1.118
 
 
-def test_no_mode_is_accused_wrongly(designer):
-    """The paper's car has no such mode, with any single measurement."""
-    for row in np.eye(4):
-        assert stabilisability_failures(designer.plant, row[None]) == []
-
-
-def test_second_problem_without_solution_is_said():
-    """x'' = x + u with x' measured is reached and seen, and yet no static gain stabilises it, which is said."""
-    plant = plant_of([[0, 1], [1, 0]], [[0], [1]])
-    assert stabilisability_failures(plant, np.array([[0.0, 1.0]])) == []
-    with pytest.raises(
-        InfeasibleError, match=r"no gain from what is measured stabilises the plant, whose mode at 1 1/s does not decay"
-    ):
-        two_step_design(plant, np.array([[0.0, 1.0]]))
-
-
 def test_optimum_at_infinite_gain_is_said():
     """A force that costs nothing pushes z to zero the harder the larger it is: the optimum lies at infinite gain."""
     plant = GeneralizedPlant(
@@ -272,24 +217,6 @@ def test_optimum_at_infinite_gain_is_said():
     )
     with pytest.raises(DesignError, match="only an infinite gain reaches the optimum"):
         state_feedback(plant)
-
-
-def test_solver_that_gave_up_is_said(designer, monkeypatch):
-    """Clarabel's own words are passed on."""
-    import cvxpy
-
-    def gives_up(*args, **kwargs):
-        raise cvxpy.SolverError("numerical error")
-
-    monkeypatch.setattr(cvxpy.Problem, "solve", gives_up)
-    with pytest.raises(DesignError, match=r"Clarabel gave up .* numerical error"):
-        solve_lmi(designer.plant, np.zeros((4, 0)), np.eye(4))
-
-
-def test_a_plant_that_is_fast_by_itself():
-    """A = -I, twice: phase one starts inside the feasible set, and the design is as good as any."""
-    plant = plant_of(-np.eye(2), np.eye(2))
-    assert state_feedback(plant)[-1].gamma < 1.5
 
 
 @pytest.mark.parametrize(
@@ -322,25 +249,20 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); no more than 2000 rows"),
         ({"B": np.full((2, 1), 1e200)}, r"B has an entry beyond 1e\+50"),
         ({"Bw": np.full((2, 1), 1e-200)}, r"Bw has no entry above 1e-50 \(the largest is 1e-200\)"),
+        ({"C": np.zeros((0, 2)), "D": np.zeros((0, 1)), "Dw": np.zeros((0, 1))}, "C has no rows"),
+        ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so that there is no norm from w to z"),
+        ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
+        ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
+        ({"dt": -0.01}, "dt = -0.01 is not a sample period.*give the seconds between samples"),
+        ({"dt": float("nan")}, "dt = nan is not a sample period.*give the seconds between samples"),
+        ({"dt": True}, "dt = True is not a number"),
+        ({"dt": [0.1]}, "is not a number"),
+        ({"dt": 10**400}, "is not a number"),
     ],
 )
 def test_matrices_that_do_not_fit(change, message):
-    """A matrix of the wrong shape, or with NaN, is named with what was found and what was expected."""
+    """A matrix or period that cannot be is named with what was found and expected, and nothing is designed without w or z."""
     with refused(match=message):
-        GeneralizedPlant(**{**GOOD, **change})
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
-        ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so that there is no norm from w to z"),
-        ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
-    ],
-)
-def test_nothing_to_design(change, message):
-    """No disturbance, or no weight above zero, is said before anything is computed."""
-    with pytest.raises(InputError, match=message):
         state_path(GeneralizedPlant(**{**GOOD, **change}))
 
 
@@ -394,20 +316,3 @@ def test_sampled_state_space_is_a_discrete_plant(space):
     assert plant.dt == 0.01
     np.testing.assert_allclose(plant.A, linalg.expm(0.01 * continuous.A), rtol=1e-12, atol=1e-14)  # two exponentials
     assert two_step_design(plant, Cy).certificate.failures == ()
-
-
-@pytest.mark.parametrize(
-    ("A", "Cy", "message"),
-    [
-        ([[0, 1], [-1, 0]], [[1, 0]], r"mode at 0\+1j rad/s does not decay: .*C_y B = 0.*sum of all poles stays 0 1/s"),
-        ([[0, 1], [1, 0]], [[1, 0]], r"mode at 1 1/s does not decay: .*C_y B = 0"),
-        ([[0, 1], [1, 0]], [[0, 1]], r"mode at 1 1/s does not decay: .*one pole stays real and above zero"),
-    ],
-)
-def test_a_mode_that_no_static_gain_damps_is_named(A, Cy, message):
-    """If what is measured leaves the sum or the sign of the product of the poles, the mode in the way is named, and why."""
-    force, nothing = np.array([[0.0], [1.0]]), np.zeros((2, 1))
-    plant = GeneralizedPlant(A=np.array(A), B=force, Bw=force, C=np.diag([1.0, 0.0]), D=0.1 * force, Dw=nothing)
-    with pytest.raises(InfeasibleError, match=message) as caught:
-        two_step_design(plant, Cy=np.array(Cy))
-    assert "equation (14)" not in str(caught.value)

@@ -1,7 +1,6 @@
 """Discrete plants: norms, proofs, bounds, searches and designs are those of continuous ones, and tend to them."""
 
 from dataclasses import replace
-from fractions import Fraction
 
 import control
 import numpy as np
@@ -9,13 +8,11 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.certificate import Certificate, bounded_real_exactly, certify, prove_bound
+from synth.analysis.certificate import Certificate, certify, prove_bound
 from synth.analysis.invariant_point import invariant_limit
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
-from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import refine
 from synth.design.full_order.full_order import full_order_design
 from synth.design.static import static_output_feedback
@@ -23,13 +20,11 @@ from synth.design.two_step import state_design, state_path, two_step_design, zer
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
-from synth.plant.augmented import on_larger_plant
-from synth.plant.discrete import mapped
 from synth.plant.generalized import Feedback, GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import from_state_space
-from tests.commands import attacks, refused
+from tests.commands import attacks
 
 EYE = np.eye(4)
 MEASURED = {"state": EYE, "I": EYE[[0, 2]], "II": EYE[[2]]}
@@ -123,29 +118,6 @@ def test_stability_is_that_of_the_circle(pole, verdict):
     assert f"z = {pole:g}" in found.words
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_proof_is_exact(seed):
-    """The matrix that is proved negative is that of rational arithmetic, every entry rounded once."""
-    plant, Cy = random_plant(seed)
-    rng = np.random.default_rng(seed)
-    K, n = rng.standard_normal((plant.B.shape[1], len(Cy))), len(plant.A)
-    root = rng.standard_normal((n, n))
-    X, eta = root @ root.T, 0.3
-
-    def exact(matrix):
-        whole = np.empty(np.shape(matrix), dtype=object)
-        whole.ravel()[:] = [Fraction(float(x)) for x in np.ravel(matrix)]
-        return whole
-
-    G = exact(K) @ exact(Cy)
-    loop = np.vstack([exact(plant.A) + exact(plant.B) @ G, exact(plant.C) + exact(plant.D) @ G])
-    w = np.vstack([exact(plant.Bw), exact(plant.Dw)])
-    there = linalg.block_diag(X, np.eye(len(plant.C)))
-    expected = loop @ exact((X + X.T) / 2) @ loop.T - exact(there) + Fraction(eta) * (w @ w.T)
-    found = bounded_real_exactly(plant, Feedback(K, Cy), X, eta)
-    np.testing.assert_array_equal(found, expected.astype(float))
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_proved_of_a_gain(seed):
     """A stable loop has a bound within a millionth of its norm; no smaller one can be proved, nor any of another plant."""
@@ -211,65 +183,6 @@ def test_conditioning_at_a_megahertz(paper):
     assert refine(plant, Cy, design.gain).after < design.certificate.norm.value
 
 
-@pytest.mark.parametrize("dt", [1e-9, *attacks((282209.0, 1.0, 1e9))])
-def test_refined_at_any_period(dt):
-    """The unit of time decides neither what the landscape sees nor where a refinement ends: nowhere higher than it began.
-
-    The gain peaks at z = -1, which is infinity on the map, and nearly as high at another frequency.
-    """
-    plant = GeneralizedPlant(
-        np.array([[0.0, 6.586398434222692], [0.0, 0.0]]),
-        np.array([[0.0029705146030851136], [-0.0011833046846228543]]),
-        np.array([[0.003842238734670813], [0.00037376292992976246]]),
-        np.array([[200.8768892341636, -2175.8790801348255], [89.36563223850754, -1154.8339747515354], [0.0, 0.0]]),
-        np.array([[0.0], [0.0], [0.1]]),
-        np.array([[0.5614611060142021], [0.20282357420251262], [0.3154578357869746]]),
-        dt=dt,
-    )
-    Cy = np.array([[-83.91035215050333, -1986.0307767830782], [16.60440884386975, 2178.9973274641243]])
-    landscape = Landscape(plant, Cy)
-    for K in np.array([[[-0.9618017914671513, -1.3610655838572578]], [[-0.47184622, -0.76523925]]]):
-        own = hinf_norm(plant.closed_loop(K @ Cy)).value
-        assert landscape.norm(landscape.point(K))[0] == pytest.approx(own, rel=1e-8)  # NEAR, the landscape's own
-        refined = refine(plant, Cy, K)
-        assert hinf_norm(plant.closed_loop(refined.gain @ Cy)).value == refined.after
-        assert refined.after <= refined.before == own
-
-
-def test_no_refinement_is_worse_than_its_start(monkeypatch):
-    """If the landscape overlooks a peak, the gain that its own loop finds worse is not returned."""
-    plant, Cy = random_plant(1, radius=0.9)
-    K = np.zeros((plant.B.shape[1], len(Cy)))
-    far = np.full(K.shape, 0.02)
-    assert hinf_norm(plant.closed_loop(far @ Cy)).value > hinf_norm(plant.closed_loop(K @ Cy)).value
-    monkeypatch.setattr("synth.design.descent.refine.along_edges", lambda landscape, x, *limits: (landscape.point(far), 1e-3))
-    refined = refine(plant, Cy, K)
-    np.testing.assert_array_equal(refined.gain, K)
-    assert refined.after == refined.before
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_slopes_are_those_of_the_norm(seed):
-    """The landscape's norm is the certificate's, and its slope that of the norm over the discrete plant's own gain."""
-    plant, Cy = random_plant(seed, radius=0.9)
-    Dyw = seed % 2 * np.random.default_rng(seed).standard_normal((len(Cy), plant.Bw.shape[1]))
-    landscape = Landscape(plant, Cy, Dyw)
-
-    def exact(K: np.ndarray) -> float:
-        larger, G = on_larger_plant(plant, Cy, static_law(K), Dyw)
-        return hinf_norm(larger.closed_loop(G)).value
-
-    K = 0.02 * np.random.default_rng(seed).standard_normal(landscape.shape)
-    x = landscape.point(K)
-    norm, at = landscape.norm(x)
-    assert norm == pytest.approx(exact(K), rel=1e-8)  # NEAR, the landscape's own
-    slope, numeric = landscape.slope(x, at), np.zeros(len(x))
-    for i, step in enumerate(1e-5 * np.eye(len(x))):
-        gains = [exact(landscape.gain(x + sign * step)) for sign in (1, -1)]
-        numeric[i] = (gains[0] - gains[1]) / 2e-5
-    np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())  # the step squared, and edges
-
-
 @pytest.mark.parametrize("seed", attacks((1, 5, *range(100, 105))))
 def test_no_lower_bound_above_what_is_reached(seed):
     """Searched static gains and full-order laws of random plants are proved, and none lies below the lower bound.
@@ -312,26 +225,6 @@ def test_full_order_next_to_the_bound(paper):
     assert found.stable
 
 
-@pytest.mark.parametrize("kept", [1, 2])
-def test_states_that_z_does_not_see(kept):
-    """A filter behind the plant that z does not weigh changes no gain and no bound; one before it counts."""
-    plant, _ = random_plant(3, radius=1.2)
-    n, m = plant.B.shape
-    more = GeneralizedPlant(
-        A=np.block([[plant.A, np.zeros((n, kept))], [np.ones((kept, n)), 0.5 * np.eye(kept)]]),
-        B=np.vstack([plant.B, np.zeros((kept, m))]),
-        Bw=np.vstack([plant.Bw, np.ones((kept, plant.Bw.shape[1]))]),
-        C=np.hstack([plant.C, np.zeros((len(plant.C), kept))]),
-        D=plant.D,
-        Dw=plant.Dw,
-        dt=plant.dt,
-    )
-    alone, found = state_design(plant), state_design(more)
-    assert found.certificate.failures == ()
-    np.testing.assert_allclose(found.gain[:, :n], alone.gain, rtol=1e-5)  # the path's own distance from its limit
-    np.testing.assert_allclose(found.gain[:, n:], 0, atol=1e-8)
-
-
 def test_a_mode_that_z_does_not_see_and_that_grows():
     """A mode at z = -1.2, which in differences is far left of the axis, is not left to itself where z does not see it."""
     A, B = np.array([[0.8, 0.0], [0.0, -1.2]]), np.array([[1.0], [1.0]])
@@ -360,34 +253,6 @@ def test_a_pole_at_minus_one(orders):
         assert law.certificate.norm.value <= found.certificate.norm.value * (1 + 2e-3)  # a static gain is one of full order
 
 
-@pytest.mark.parametrize("at", [-0.6, -1.0])  # nothing is moved, and a pole at -1 is
-@pytest.mark.parametrize("seed", range(4))
-def test_the_map_is_alike_in_any_units_of_the_states(seed, at):
-    """A plant whose states are in units of 1e-9 to 1e9 is mapped as in its own: under the same gain, w does the same to z."""
-    rng = np.random.default_rng(seed)
-    n, basis = 4, rng.standard_normal((4, 4))
-    A = basis @ np.diag([at, 0.9, 0.5, -0.3]) @ np.linalg.inv(basis)
-    B, Bw, C, Cy = (rng.standard_normal(shape) for shape in ((n, 2), (n, 1), (2, n), (2, n)))
-    D, Dw, K = rng.standard_normal((2, 2)), np.zeros((2, 1)), 0.1 * rng.standard_normal((2, 2))
-
-    def response(units):
-        plant = GeneralizedPlant(
-            A * np.outer(1 / units, units), B / units[:, None], Bw / units[:, None], C * units, D, Dw, dt=0.1
-        )
-        here = mapped(plant, Cy * units)
-        assert bool(np.any(here.before)) == (at == -1.0)
-        beside = K - here.before
-        feedback = np.linalg.solve(np.eye(2) - beside @ here.Dyu, beside)
-        p = here.plant
-        A0, Bw0 = p.A + p.B @ feedback @ here.Cy, p.Bw + p.B @ feedback @ here.Dyw
-        C0, Dw0 = p.C + p.D @ feedback @ here.Cy, p.Dw + p.D @ feedback @ here.Dyw
-        return C0 @ np.linalg.solve(3j * np.eye(n) - A0, Bw0) + Dw0
-
-    own = response(np.ones(n))
-    # What the map loses next to -1 is at most 1 / LOST = 1e6 times rounding.
-    np.testing.assert_allclose(response(10.0 ** rng.uniform(-9, 9, n)), own, rtol=1e-8, atol=1e-8 * np.abs(own).max())
-
-
 def test_python_controls_sampled_system():
     """A sampled `control.StateSpace` comes in with its period, and its norm is python-control's."""
     A, B = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([[0.0, 0.1], [0.2, 0.0]])
@@ -401,46 +266,6 @@ def test_python_controls_sampled_system():
     np.testing.assert_allclose(plant.frequency_response(omega), theirs.reshape(50, 2, 1), rtol=1e-12, atol=1e-13)  # rounding
     with pytest.raises(InputError, match=r"without a sample period \(dt = True\); give dt in seconds"):
         from_state_space(control.ss(A, B, np.eye(2), np.zeros((2, 2)), True), ["u[0]"], {"y[0]": 1.0}, ["y[1]"])
-
-
-@pytest.mark.parametrize(
-    ("dt", "message"),
-    [
-        (0, "dt = 0 is not a sample period"),
-        (-0.01, "dt = -0.01 is not a sample period"),
-        (float("nan"), "dt = nan is not a sample period"),
-        (float("inf"), "dt = inf is not a sample period"),
-        (True, "dt = True is not a number"),
-        ("often", "dt = 'often' is not a number"),
-        ([0.1], "is not a number"),
-        (10**400, "is not a number"),
-    ],
-)
-def test_bad_periods(dt, message):
-    """A period that is none is refused in one line that says what is allowed."""
-    one = np.ones((1, 1))
-    with refused("give the seconds between samples", match=message):
-        GeneralizedPlant(one, one, one, one, one, one, dt=dt)
-
-
-@pytest.mark.parametrize(
-    ("A", "B", "Cy", "message"),
-    [
-        ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], "no input reaches the mode at z = 1.2, which does not decay"),
-        ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], "no input reaches the mode at z = -1, which does not decay"),
-        ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], "no input reaches the mode at z = 1, which does not decay"),
-        ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], "no measurement shows the mode at z = 1.2, which does not decay"),
-        ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], r"C_y B = 0\), so the sum of all poles stays 2.3, and their number is 2"),
-    ],
-)
-def test_what_cannot_be_stabilised(A, B, Cy, message):
-    """If no gain stabilises a discrete plant the mode, or what forbids it, is named in one line."""
-    A, B, Cy = (np.array(part, dtype=float) for part in (A, B, Cy))
-    C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0], [1]])
-    plant = GeneralizedPlant(A, B, np.eye(2), C, D, np.zeros((3, 2)), dt=0.1)
-    with pytest.raises(InfeasibleError, match=message) as caught:
-        two_step_design(plant, Cy)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_integrator_that_z_does_not_see():

@@ -1,17 +1,57 @@
-"""A proof of a bound is formed and judged without rounding: held against rational arithmetic, next to where it would fail."""
+"""Norms, stability and proofs of bounds against rational arithmetic: next to where they would fail, and if K C_y cancels."""
 
 import contextlib
+import dataclasses
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from synth.analysis.bounding import bounding_x
-from synth.analysis.certificate import LmiProof, bounded_real_exactly, eta_of, prove_bound
+from synth.analysis.bounding import bounding_x, certify_tightly
+from synth.analysis.certificate import Certificate, LmiProof, bounded_real_exactly, certify, eta_of, prove_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import definiteness
-from synth.plant.generalized import SHAPES, GeneralizedPlant
+from synth.design.two_step import two_step_design
+from synth.plant import double_double as extended
+from synth.plant.generalized import Feedback, GeneralizedPlant
 from tests import exactly
+from tests.commands import attacks
+from tests.test_bounds_hold import of_lists
+
+
+def differences(seed: int, n: int, gain: float, apart: float) -> tuple[GeneralizedPlant, Feedback]:
+    """A stable loop of about unit size: rows of C_y that lie `apart` from one another, and a gain that weighs the differences."""
+    rng = np.random.default_rng(seed)
+    m, first = int(rng.integers(1, 3)), rng.standard_normal(n)
+    Cy = first + apart * rng.standard_normal((3, n))
+    K = gain * rng.standard_normal((m, 3))
+    K[:, -1] = -K[:, 0] - K[:, 1]
+    B = rng.standard_normal((n, m))
+    closed = rng.standard_normal((n, n))
+    closed -= (np.linalg.eigvals(closed).real.max() + 0.3) * np.eye(n)
+    C, D = rng.standard_normal((2, n)), rng.standard_normal((2, m)) / gain / apart
+    plant = GeneralizedPlant(closed - B @ K @ Cy, B, rng.standard_normal((n, 1)), C, D, np.zeros((2, 1)))
+    return plant, Feedback(K, Cy)
+
+
+def refuse_what_is_not_true(certificate: Certificate, plant: GeneralizedPlant, u: Feedback) -> float:
+    """Stability, the norm at its peak and the bound against rational arithmetic; returns how far the floats' own gain is off."""
+    G = exactly.times(exactly.exact(u.K), exactly.exact(u.Cy))
+    loop = exactly.plus(exactly.exact(plant.A), exactly.times(exactly.exact(plant.B), G))
+    assert certificate.stable == exactly.stable(loop)
+    norm, Bw = certificate.norm, exactly.exact(plant.Bw)
+    at_peak = exactly.gain_squared(
+        loop, Bw, exactly.plus(exactly.exact(plant.C), exactly.times(exactly.exact(plant.D), G)), norm.peak_frequency
+    )
+    # The norm is the gain at its peak but for the rounding that is stated, and a square root of floats.
+    assert abs(float(Fraction(norm.value) ** 2 / at_peak) ** 0.5 - 1) <= norm.rounding + 4 * np.finfo(float).eps
+    if certificate.proof is not None:
+        eta = exactly.largest_eta(plant, u, certificate.proof.X)
+        assert eta is not None
+        assert Fraction(certificate.proof.eta) < eta
+    of_floats = plant.closed_loop(u.K @ u.Cy)
+    T = of_floats.C @ np.linalg.solve(1j * norm.peak_frequency * np.eye(len(of_floats.A)) - of_floats.A, of_floats.Bw)
+    return abs(float(np.linalg.norm(T)) / norm.value - 1)
 
 
 def test_bound_is_rounded_upwards():
@@ -25,21 +65,30 @@ def test_bound_is_rounded_upwards():
         assert eta == pytest.approx(bound**-2, rel=1e-15)  # a few units in the last place
 
 
-def test_matrix_of_the_proof():
-    """The judged matrix is that of (20) in rational arithmetic, whatever the sizes of its numbers, rounded once."""
-    rng = np.random.default_rng(1)
-    for n, m, r, d in ((1, 1, 1, 1), (4, 2, 1, 3), (3, 0, 2, 1), (2, 1, 1, 2)):
-        shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (d, n), "D": (d, m), "Dw": (d, r)}
-        drawn = {
-            name: rng.standard_normal(shape) * 10.0 ** rng.uniform(-30, 30, shape)
-            for name, shape in {**shapes, "G": (m, n), "X": (n, n)}.items()
-        }
-        G, X, eta = drawn.pop("G"), drawn.pop("X"), 0.3
-        A, B, Bw, C, D, Dw = (drawn[name] for name in SHAPES)
-        plant, X = GeneralizedPlant(A, B, Bw, C, D, Dw), X + X.T
-        still, turned = exactly.bounded_real(plant, G, X), exactly.disturbed(plant)
-        for i, j in np.ndindex(n + d, n + d):
-            assert bounded_real_exactly(plant, G, X, eta)[i, j] == float(still[i][j] + turned[i][j] * Fraction(eta))
+def of_all_sizes(n: int, m: int, r: int, d: int) -> tuple[GeneralizedPlant, np.ndarray]:
+    """A plant and a gain whose entries differ by sixty orders of magnitude."""
+    rng = np.random.default_rng([n, m, r, d])
+    shapes = ((n, n), (n, m), (n, r), (d, n), (d, m), (d, r), (m, n))
+    *parts, G = (rng.standard_normal(shape) * 10.0 ** rng.uniform(-30, 30, shape) for shape in shapes)
+    A, B, Bw, C, D, Dw = parts
+    return GeneralizedPlant(A, B, Bw, C, D, Dw), G
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+@pytest.mark.parametrize(
+    "case",
+    [(1, 1, 1, 1), (4, 2, 1, 3), (3, 0, 2, 1), (2, 1, 1, 2), pytest.param(differences(0, 3, 1e11, 1e-9), id="differences")],
+)
+def test_matrix_of_the_proof(case, dt):
+    """The judged matrix is that of (20) in rational arithmetic, rounded once, for any sizes and if K C_y cancels."""
+    plant, G = of_all_sizes(*case) if isinstance(case[0], int) else case
+    plant, X = dataclasses.replace(plant, dt=dt), np.random.default_rng(1).standard_normal((len(plant.A),) * 2)
+    X, eta = X + X.T, 0.3
+    still, turned = exactly.bounded_real(plant, G, X), exactly.disturbed(plant)
+    expected = [[float(a + b * Fraction(eta)) for a, b in zip(*rows, strict=True)] for rows in zip(still, turned, strict=True)]
+    assert bounded_real_exactly(plant, G, X, eta).tolist() == expected
+    if isinstance(G, Feedback):
+        assert np.any(bounded_real_exactly(plant, G.K @ G.Cy, X, eta) != expected)
 
 
 def near_singular(rng, k: int, smallest: float) -> np.ndarray:
@@ -136,3 +185,96 @@ def test_no_proof_at_the_edge_is_rounding(seed, count, more, some):
     proved, fooled = attack_at_the_edge(np.random.default_rng(seed), count)
     assert proved > more
     assert fooled > some
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_gain_that_weighs_differences(seed):
+    """A gain of 1e11 on rows 1e-9 apart: poles, norm and bound are those of u = K y, not of the floats nearest to K C_y."""
+    plant, u = differences(seed, 2 + seed % 3, 1e11, 1e-9)
+    certificate = certify_tightly(plant, u)
+    assert certificate.failures == ()
+    assert certificate.bound is not None
+    off = refuse_what_is_not_true(certificate, plant, u)
+    assert off > 1e-9  # measured 2e-7 to 2e-4: what the nearest floats would claim, so that this test can fail
+    assert certificate.norm.rounding < 1e-9
+
+
+@pytest.mark.attack
+def test_gains_of_all_sizes():
+    """The same for a hundred and fifty gains, from rows far apart to rows that differ in their last three digits."""
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        apart = 10.0 ** rng.uniform(-13, 0)
+        plant, u = differences(seed, int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 3) / apart, apart)
+        certificate = certify_tightly(plant, u) if seed % 3 == 0 else certify(plant, u)
+        if certificate.stable and not certificate.failures:
+            refuse_what_is_not_true(certificate, plant, u)
+
+
+def test_a_design_is_certified_as_its_gain_acts():
+    """The two steps from rows 1e-6 apart: the certificate is of K and C_y as they stand."""
+    Cy = np.array([[1.0, 0.3, 0.0], [1.0, 0.3, 1e-6]])
+    plant = of_lists(
+        [[0, 1, 0], [-4, -0.1, 1], [0, 0, -3]], [[0], [1], [2]], [[0], [1], [1]], [[1, 0, 0], [0, 0, 0]], [[0], [0.1]]
+    )
+    design = two_step_design(plant, Cy)
+    assert design.certificate.failures == ()
+    refuse_what_is_not_true(design.certificate, plant, Feedback(design.gain, Cy))
+
+
+def stiff(seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
+    """A plant with a resonance, and a stable gain from 1e3 to 1e14 that hardly touches it: slow poles beside fast ones."""
+    rng = np.random.default_rng(seed)
+    damping = 10.0 ** rng.uniform(-3, 0)
+    size = 10.0 ** rng.uniform(3, 14 + np.log10(damping))  # more, and it would be marginal to rounding
+    A = np.array([[0.0, 1.0, 0.0], [-4.0, -4 * damping, 0.0], [0.0, 0.0, -1.0]])
+    T = rng.standard_normal((3, 3)) + 2 * np.eye(3)
+    mixed = np.linalg.inv(T) @ A @ T
+    B = np.linalg.inv(T) @ np.array([[0.0], [0.3], [1.0]])
+    G = -size * np.array([[0.0, 0.0, 1.0]]) @ T
+    one = np.ones((1, 1))
+    return GeneralizedPlant(mixed, B, rng.standard_normal((3, 1)), rng.standard_normal((1, 3)), one, 0 * one), G
+
+
+@pytest.mark.parametrize("seed", [*range(8), *attacks(range(8, 16))])
+def test_norms_of_huge_gains(seed):
+    """Exact rational arithmetic on the plant and a huge gain gives the norm at its peak, and nowhere near more."""
+    plant, G = stiff(seed)
+    certificate = certify(plant, G)
+    norm, peak = certificate.norm, certificate.norm.peak_frequency
+    assert norm.rounding < 1e-8
+    refuse_what_is_not_true(certificate, plant, Feedback(G, np.eye(3)))
+    A, Bw, C = (exactly.exact(part) for part in (plant.A, plant.Bw, plant.C))
+    loop = exactly.plus(A, exactly.times(exactly.exact(plant.B), exactly.exact(G)))
+    z = exactly.plus(C, exactly.times(exactly.exact(plant.D), exactly.exact(G)))
+    near = [np.abs(pole.imag) + np.abs(pole.real) * np.linspace(-1, 1, 5) for pole in certificate.poles]
+    for omega in {*np.abs(np.concatenate(near)), peak * (1 + 1e-3), peak * (1 - 1e-3), 0.0}:
+        gain = float(exactly.gain_squared(loop, Bw, z, float(omega))) ** 0.5
+        assert gain <= norm.value * (1 + 1e-8)  # SEEN, and a flat top
+
+
+def test_a_loop_is_rounded_once():
+    """A + B G is the float nearest to it, however much cancels, and what is left of it is kept."""
+    rng = np.random.default_rng(3)
+    A, B, G = rng.standard_normal((4, 4)), 1e6 * rng.standard_normal((4, 2)), 1e6 * rng.standard_normal((2, 4))
+    A = A - B @ G
+    plant = GeneralizedPlant(A, B, np.ones((4, 1)), rng.standard_normal((2, 4)), rng.standard_normal((2, 2)), np.zeros((2, 1)))
+    loop = plant.closed_loop(G)
+    true = exactly.plus(exactly.exact(A), exactly.times(exactly.exact(B), exactly.exact(G)))
+    assert loop.beyond is not None
+    for i in range(4):
+        for j in range(4):
+            assert loop.A[i, j] == float(true[i][j])
+            off = Fraction(float(loop.A[i, j])) + Fraction(float(loop.beyond[i, j])) - true[i][j]
+            assert abs(off) <= Fraction(2) ** -98 * 10**12  # twice the digits of terms of that size
+    there = GeneralizedPlant(np.eye(4), B, np.ones((4, 1)), loop.C, plant.D, plant.Dw).closed_loop(G)
+    np.testing.assert_array_equal(there.closed_loop(-G).A, np.eye(4))  # a loop of a loop forgets nothing
+
+
+def test_a_norm_that_rounding_may_have_moved_is_said_so(monkeypatch):
+    """If no digits are won in time the certificate fails, and says by how much the norm may be off."""
+    plant, G = next((plant, G) for plant, G in map(stiff, range(40)) if np.abs(G).max() > 1e12)
+    assert certify(plant, G).failures == ()
+    monkeypatch.setattr(extended, "MOST_TURNS", 1)
+    (said,) = certify(plant, G).failures
+    assert said.startswith("rounding may have changed the norm by ")

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.laws.linear import LinearLaw
+from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import ControllerEntry, Vehicle, read_vehicle
 from sim import bump
 from sim.campaign import __main__ as campaign
+from sim.campaign.verify import SAME_GAIN, _same_law
 from synth.__main__ import main as synth
-from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
 from synth.analysis.record import false_claims, to_record
-from synth.command.check import check
+from synth.command.check import UNPROVED, check, proved
 from synth.command.save import save
 from synth.controller.controller import Controller
-from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer, certify_given
 from tests.commands import refused
@@ -167,21 +166,20 @@ def law_of(vehicle: Vehicle, states: int, period: float | None = None) -> Linear
     return law if period is None else law.sampled(period)
 
 
-def proved(vehicle: Vehicle, law: LinearLaw) -> Controller:
-    """A law on what is measured, with a bound that is proved."""
-    measured = ACCELERATIONS[vehicle.kind.name]
-    controller = certify_given(vehicle, "mine", measured, law)
-    designer = Designer(vehicle)
-    loop = on_larger_plant(designer.plant, vehicle.linear_model.rows(measured)[0], controller.law_on_states(vehicle))
-    certificate = certify_tightly(*loop, controller.certificate.below, designer.plant)
+def with_a_bound(vehicle: Vehicle, law: LinearLaw) -> Controller:
+    """A law on what is measured, with the bound that `--prove` finds."""
+    found, said = proved(Designer(vehicle), certify_given(vehicle, "mine", ACCELERATIONS[vehicle.kind.name], law))
+    assert said
+    certificate = found.certificate
     assert certificate.bound is not None
-    return dataclasses.replace(controller, certificate=certificate, designed=True)
+    assert 0 < certificate.bound / certificate.norm.value - 1 < 1.1e-6  # the closest margin that is tried
+    return dataclasses.replace(found, designed=True)
 
 
 @pytest.fixture(scope="module")
 def dynamic(paper):
     """A law of three states with everything that can be claimed of it."""
-    controller = proved(paper, law_of(paper, 3))
+    controller = with_a_bound(paper, law_of(paper, 3))
     return controller, to_record(controller.certificate)
 
 
@@ -190,7 +188,7 @@ def test_saved_and_checked(name, tmp_path, capsys):
     """A law with states on accelerations that `--save` writes is confirmed by `--check`, and its bound is in the table."""
     vehicle = read_vehicle(name)
     law = law_of(vehicle, 3)
-    save(tmp_path / "car.toml", vehicle, [proved(vehicle, law)])
+    save(tmp_path / "car.toml", vehicle, [with_a_bound(vehicle, law)])
     found = read_vehicle(tmp_path / "car.toml").controllers["mine_designed"]
     assert found.law is not None
     assert found.law.record == law.record
@@ -207,7 +205,7 @@ def test_every_matrix_counts(paper, period):
     """With another entry of A, B, C or D, or another sample period, the certificate of a law fails."""
     vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=period))
     law = law_of(vehicle, 3, period)
-    controller = proved(vehicle, law)
+    controller = with_a_bound(vehicle, law)
     record = to_record(controller.certificate)
     assert failures(vehicle, controller, record) == ()
     for name in "ABCD":
@@ -251,6 +249,63 @@ def test_an_unstable_loop_claims_nothing(paper, dynamic):
     for wild in (controller.law.scaled(-1e4), dataclasses.replace(controller.law, A=-np.array(controller.law.A))):
         assert any("unstable" in said for said in failures(paper, controller, record, wild))
         assert not certify_given(paper, "wild", controller.measured, wild).certificate.stable
+
+
+@pytest.mark.parametrize(("vehicle", "name"), [("quarter_car", "I_printed"), ("quarter_car_accelerometer", "accelerometer")])
+def test_a_given_law_has_a_close_bound_when_asked(vehicle, name, capsys):
+    """Static, or with states on an accelerometer: a bound a millionth above the norm, if asked; else none."""
+    options = ("--vehicle", vehicle, "--controller", name)
+    found = []
+    for more in ([], ["--prove"]):
+        assert synth([*options, *more, "--json"]) == 0
+        found += [row for row in json.loads(capsys.readouterr().out)["controllers"] if row["name"] == name]
+    plain, asked = found
+    assert plain["bound"] is None
+    assert asked["lmi"]["proved"]
+    assert asked["norm"] == plain["norm"]
+    assert 0 < asked["bound"] / asked["norm"] - 1 < 1.1e-6  # the closest margin that is tried
+    assert asked["notes"] == [*plain["notes"], "its law is given; its bound is proved here"]
+    for row in (asked, plain):
+        for key in ("bound", "lmi", "notes", "certificate"):
+            del row[key]
+    assert asked == plain  # all else
+
+
+def test_what_is_designed_unstable_or_cannot_be_proved_is_as_it_was(paper, designer, monkeypatch):
+    """A designed law keeps its own proof; an unstable loop, and one for which no X is found, have none, and the notes say so."""
+    designed = designer.design("I")
+    assert proved(designer, designed) == (designed, ())
+    wild, calm = (certify_given(paper, "mine", ("sprung_velocity",), static_law(np.array([[k]]))) for k in (9000.0, -9000.0))
+    assert proved(designer, wild) == (wild, ())
+    monkeypatch.setattr("synth.command.check.certify_tightly", lambda *_: calm.certificate)
+    assert proved(designer, calm) == (calm, (UNPROVED,))
+
+
+def in_campaign(law: LinearLaw) -> dict:
+    """A law as the folder of a campaign has it."""
+    return {"measured": ["suspension_deflection", "sprung_acceleration"], **json.loads(json.dumps(law.record))}
+
+
+@pytest.mark.parametrize("period", [None, 0.004])
+def test_a_law_in_other_coordinates_is_the_same_law(paper, period):
+    """The effect of a law is compared, not its matrices; another entry, force, period or order is another law."""
+    law = law_of(paper, 4, period)
+    T = np.random.default_rng(3).standard_normal((4, 4)) + 3 * np.eye(4)
+    turned = LinearLaw(np.linalg.solve(T, law.A) @ T, np.linalg.solve(T, law.B), law.C @ T, law.D, law.sample_period)
+    assert not np.allclose(turned.A, law.A)
+    assert _same_law(in_campaign(law), in_campaign(turned))
+    for name in "ABCD":
+        for at in np.ndindex(getattr(law, name).shape):
+            if getattr(law, name)[at]:
+                matrix = np.array(getattr(law, name))
+                matrix[at] *= 1.001
+                assert not _same_law(in_campaign(law), in_campaign(dataclasses.replace(law, **{name: matrix}))), (name, at)
+    assert not _same_law(in_campaign(law), in_campaign(dataclasses.replace(law, sample_period=0.003)))
+    assert not _same_law(in_campaign(law), in_campaign(law_of(paper, 3, period)))
+    assert not _same_law(in_campaign(law), in_campaign(static_law(law.D)))
+    static = static_law(law.D)
+    assert _same_law(in_campaign(static), in_campaign(static_law(law.D * (1 + 0.1 * SAME_GAIN))))
+    assert not _same_law(in_campaign(static), in_campaign(static_law(law.D * (1 + 10 * SAME_GAIN))))
 
 
 # --- the commands ----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import FullOrderDesign, full_order_design
-from synth.design.full_order.riccati import WITHIN, central_law
+from synth.design.full_order.riccati import SAME, WITHIN, central_law
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
@@ -114,8 +114,8 @@ SHARP = ("undamped", "rank-deficient D", "feedthrough", "uncontrollable", "free 
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        *((kind, 0) for kind in SHARP[:3]),
-        *(pytest.param(kind, 0, marks=pytest.mark.attack) for kind in SHARP[3:]),
+        *((kind, 0) for kind in SHARP[:2]),
+        *(pytest.param(kind, 0, marks=pytest.mark.attack) for kind in SHARP[2:]),
         *(pytest.param(kind, 4, marks=pytest.mark.attack) for kind in SHARP),
     ],
 )
@@ -163,7 +163,8 @@ def fast_plant(*texts: str, cost: float) -> tuple[GeneralizedPlant, np.ndarray]:
     return GeneralizedPlant(A, B, Bw, C, D, np.zeros((d + m, Bw.shape[1]))), Cy
 
 
-@pytest.mark.parametrize("case", [FAST, *attacks([(FASTER,)])], ids=["fast", "faster"])
+@pytest.mark.attack
+@pytest.mark.parametrize("case", [FAST, FASTER], ids=["fast", "faster"])
 def test_the_best_law_is_taken_however_fast(case):
     """The norm is that of SLICOT's hinfsyn or better, next to the lower bound, and the remark says how fast that is: too fast."""
     *texts, cost, slicot = case
@@ -260,28 +261,6 @@ def test_central_law(seed):
     assert max(refused) < min(reached) * 1.05  # the step of gamma: it is refused only where it cannot be reached
 
 
-def test_the_central_law_of_the_textbook():
-    """For D' [C D] = [0 I] and so on the law is that of the simple formulas (Doyle, Glover, Khargonekar, Francis 1989)."""
-    rng = np.random.default_rng(3)
-    n, gamma = 4, 20.0
-    A, B, B1, C1, Cy = (rng.standard_normal(shape) for shape in ((n, n), (n, 2), (n, 2), (2, n), (1, n)))
-    A = A - 2 * np.eye(n)
-    plant = GeneralizedPlant(
-        A, B, np.hstack([B1, np.zeros((n, 1))]), np.vstack([C1, np.zeros((2, n))]), np.vstack([np.zeros((2, 2)), np.eye(2)]),
-        np.zeros((4, 3)),
-    )  # fmt: skip
-    law = central_law(plant, Cy, np.array([[0.0, 0.0, 1.0]]), gamma)
-    X = linalg.solve_continuous_are(A, np.hstack([B, B1]), C1.T @ C1, np.diag([1.0] * 2 + [-(gamma**2)] * 2))
-    Y = linalg.solve_continuous_are(A.T, np.vstack([Cy, C1]).T, B1 @ B1.T, np.diag([1.0] + [-(gamma**2)] * 2))
-    Z = np.linalg.inv(np.eye(n) - Y @ X / gamma**2)
-    expected = LinearLaw(A + B1 @ B1.T @ X / gamma**2 - B @ B.T @ X - Z @ Y @ Cy.T @ Cy, Z @ Y @ Cy.T, -B.T @ X, np.zeros((2, 1)))
-    s = 1j * np.array([0.0, 0.3, 1.0, 10.0])[:, None, None]
-    one, other = (
-        each.C @ np.linalg.solve(s * np.eye(n) - each.A, each.B.astype(complex)[None]) + each.D for each in (law, expected)
-    )
-    np.testing.assert_allclose(one, other, rtol=1e-9)  # rounding of two Riccati equations
-
-
 @pytest.mark.attack
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_units(seed):
@@ -324,42 +303,24 @@ def test_redundant_measurements():
 def test_what_cannot_be_designed():
     """A line names the mode that is not reached or not seen, or what is missing from the plant."""
     plant, Cy = a_plant("undamped", 0)
-    n = len(plant.A)
-    A = np.asarray(linalg.block_diag(plant.A, [[0.5]]))
+    n, names = len(plant.A), [*(f"s{i}" for i in range(len(plant.A))), "lost"]
+    force, seen = (np.ones((size, 1)) for size in (plant.B.shape[1], len(Cy)))
     wide = GeneralizedPlant(
-        A, np.vstack([plant.B, [[0.0] * plant.B.shape[1]]]), np.vstack([plant.Bw, [[1.0] * plant.Bw.shape[1]]]),
+        np.asarray(linalg.block_diag(plant.A, [[0.5]])), np.vstack([plant.B, force.T]), np.vstack([plant.Bw, plant.Bw[:1]]),
         np.hstack([plant.C, np.ones((len(plant.C), 1))]), plant.D, plant.Dw,
     )  # fmt: skip
-    names = [f"s{i}" for i in range(n)] + ["lost"]
-    with pytest.raises(InfeasibleError, match=r"no input reaches the mode at 0\.5 1/s.*most in lost"):
-        full_order_design(wide, np.hstack([Cy, np.ones((len(Cy), 1))]), states=names)
-    driven = replace(wide, B=np.vstack([plant.B, np.ones((1, plant.B.shape[1]))]))
-    with pytest.raises(InfeasibleError, match=r"no measurement shows the mode at 0\.5 1/s.*most in lost"):
-        full_order_design(driven, np.hstack([Cy, np.zeros((len(Cy), 1))]), states=names)
-    with pytest.raises(InputError, match="no disturbance"):
-        full_order_design(replace(plant, Bw=0 * plant.Bw, Dw=0 * plant.Dw), Cy)
-    with pytest.raises(InputError, match="controlled output is zero"):
-        full_order_design(replace(plant, C=0 * plant.C, D=0 * plant.D), Cy)
+    still = replace(wide, B=np.vstack([plant.B, 0 * force.T]))
+    for found, rows, message in (
+        (still, np.hstack([Cy, seen]), r"no input reaches the mode at 0\.5 1/s.*most in lost"),
+        (wide, np.hstack([Cy, 0 * seen]), r"no measurement shows the mode at 0\.5 1/s.*most in lost"),
+        (replace(plant, Bw=0 * plant.Bw, Dw=0 * plant.Dw), Cy, "no disturbance"),
+        (replace(plant, C=0 * plant.C, D=0 * plant.D), Cy, "controlled output is zero"),
+        (plant, 0 * Cy, "row 0 of Cy is zero"),
+    ):
+        with pytest.raises(InputError, match=message):
+            full_order_design(found, rows, states=names[: len(found.A)])
     with pytest.raises(InputError, match="Dyw has shape"):
-        full_order_design(plant, Cy, np.zeros((len(Cy), 7)))
-    with pytest.raises(InputError, match="row 0 of Cy is zero"):
-        full_order_design(plant, 0 * Cy)
-    assert issubclass(InfeasibleError, DesignError)
-
-
-def test_larger_plant():
-    """A law as a gain on the larger plant makes the loop that is written out, with noise that goes straight through it."""
-    rng = np.random.default_rng(0)
-    plant, Cy = a_plant("feedthrough", 0)
-    n, m, q, r, k = len(plant.A), plant.B.shape[1], len(Cy), plant.Bw.shape[1], 3
-    A, B, C, D = (rng.standard_normal(shape) for shape in ((k, k), (k, q), (m, k), (m, q)))
-    law = LinearLaw(A, B, C, D)
-    Dyw = rng.standard_normal((q, r))
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
-    one, other = larger.closed_loop(G), loop_by_hand(plant, Cy, law, Dyw)
-    assert len(larger.A) == n + k
-    for name in ("A", "Bw", "C", "Dw"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-13, atol=1e-13)  # sums in another order
+        full_order_design(plant, Cy, np.zeros((len(Cy), n + 7)))
 
 
 @pytest.mark.attack
@@ -384,6 +345,21 @@ def test_hostile_plants(kind):
     else:
         pytest.fail("none has a controller")
     assert not any("\n" in line for line in said)
+
+
+@pytest.mark.attack
+def test_idle_states_of_a_design():
+    """A mode that is undriven, unseen and decays by itself is no part of the controller; the norm is as without it."""
+    plant, Cy = a_plant("undamped", 4)
+    n = len(plant.A)
+    beside = GeneralizedPlant(
+        np.asarray(linalg.block_diag(plant.A, [[-1.0]])), np.vstack([plant.B, 0 * plant.B[:1]]),
+        np.vstack([plant.Bw, 0 * plant.Bw[:1]]), np.hstack([plant.C, 0 * plant.C[:, :1]]), plant.D, plant.Dw,
+    )  # fmt: skip
+    short, longer = full_order_design(plant, Cy), full_order_design(beside, np.hstack([Cy, 0 * Cy[:, :1]]))
+    assert short.law.states == n
+    assert longer.law.states == n
+    assert longer.certificate.norm.value == pytest.approx(short.certificate.norm.value, rel=WITHIN + SAME)  # both within 0.1 %
 
 
 # --- a static gain is one of full order, too --------------------------------------------------------------------------------

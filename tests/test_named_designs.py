@@ -131,7 +131,7 @@ def test_pages_example():
         assert Designer(vehicle).design(name).certificate.stable
 
 
-@pytest.mark.parametrize("kind", ['design = "lqg"', 'design = "h2"\nnoise = true', 'design = "lqg"\nlag = true'])
+@pytest.mark.parametrize("kind", ['design = "h2"\nnoise = true', *attacks(['design = "lqg"', 'design = "lqg"\nlag = true'])])
 def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
     """However loud the measurements, a design's claims are those of the matrices that are saved; its mean counts the noise."""
     said = "[implementation]\nsample_period = 0.005\nnoise = { sprung_velocity = 0.5, suspension_deflection = 0.5 }\n"
@@ -226,10 +226,10 @@ def with_parts(text: str, parts: Collection[str]) -> str:
     return f"{text}{BUILT}\n[controllers.mine]\n{measured}{lines}\n"
 
 
-@pytest.mark.parametrize("one", SECTIONS)
+@pytest.mark.parametrize("one", [*SECTIONS][:-1])
 def test_the_table_is_what_is_done(paper, one):
     """Two parts of a section are read where the table has them together, else refused in a line that names both and says why."""
-    for other in SECTIONS.keys() - {one}:
+    for other in [*SECTIONS][[*SECTIONS].index(one) + 1 :]:
         pair = {one, other}
         if {*QUADRATIC, PREVIEW} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
             continue  # no section has both

@@ -12,8 +12,6 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.lower_bound import LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import read_proof, to_record
-from synth.analysis.synthesis_inequality import costless_reachable_subspace, transposed
-from synth.design.descent.landscape import Landscape
 from synth.design.full_order.riccati import central_law
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
@@ -116,19 +114,6 @@ def test_the_proof_is_kept():
     assert read_proof(record, plant, Cy, Dyw=0.5 * Dyw)[2].gamma < below.gamma
 
 
-def test_what_is_shown_without_noise():
-    """For two signals with one noise the difference is free of it, and its derivative is where that is free of the road."""
-    chain = GeneralizedPlant(
-        np.diag(np.ones(2), 1), np.eye(3)[:, 2:], np.hstack([np.eye(3)[:, 2:], np.zeros((3, 1))]), np.eye(3), np.zeros((3, 1)),
-        np.zeros((3, 2)),
-    )  # fmt: skip
-    Cy, one_noise = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.0, 1.0], [0.0, 1.0]])
-    shown = [
-        costless_reachable_subspace(transposed(chain, *rows)) for rows in ((Cy, None), (Cy, one_noise), (Cy[:1], one_noise[:1]))
-    ]
-    assert [one.shape for one in shown] == [(3, 3), (3, 3), (3, 0)]
-
-
 def test_a_road_that_is_measured():
     """A signal may say something of the disturbance alone; what says nothing of anything is refused, by its row."""
     plant, Cy, Dyw = noisy(0, 1.0)
@@ -144,53 +129,6 @@ def test_a_road_that_is_measured():
         measurement_matrices(plant, preview[0])
     with pytest.raises(InputError, match="expected"):
         measurement_matrices(replace(plant, Bw=plant.Bw[:, :1], Dw=plant.Dw[:, :1]), Cy, Dyw)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_landscape_with_noise(seed):
-    """Over gains on noisy signals its height is the loop's norm, its slope and curvature are quotients, and no cut exceeds it."""
-    plant, Cy, Dyw = noisy(2 * seed, 0.7, 0.3)
-    landscape, rng = Landscape(plant, Cy, Dyw), np.random.default_rng(seed)
-    x = np.zeros(plant.B.shape[1] * len(Cy))
-    while not np.any(x):
-        trial = 0.1 * rng.standard_normal(len(x))
-        x = trial if np.isfinite(landscape.norm(trial)[0]) else x
-    larger, gain = on_larger_plant(plant, Cy, static_law(landscape.gain(x)), Dyw)
-    height, at = landscape.norm(x)
-    assert height == pytest.approx(hinf_norm(larger.closed_loop(gain)).value, rel=2e-9)  # where each stops
-    slope = landscape.slope(x, at)
-    quotients = [(landscape.norm(x + step)[0] - landscape.norm(x - step)[0]) / 2e-5 for step in 1e-5 * np.eye(len(x))]
-    np.testing.assert_allclose(slope, quotients, atol=1e-3 * float(np.linalg.norm(slope)))  # 1e-9 over 1e-5
-    cuts = landscape.cuts(x, landscape.summits(x, 0.5 * height), 0.5 * height)
-    values, slopes = landscape.heights(x, cuts)
-    assert values.max() == pytest.approx(height, rel=1e-6)  # the summit's frequency
-    np.testing.assert_allclose(slopes[values.argmax()], slope, atol=1e-3 * float(np.linalg.norm(slope)))  # likewise
-    peak = landscape.cuts(x, np.array([at]), 2 * height)
-    bends = [
-        (landscape.slope(x + step, landscape.norm(x + step)[1]) - landscape.slope(x - step, landscape.norm(x - step)[1])) / 2e-4
-        for step in 1e-4 * np.eye(len(x))
-    ]
-    size = float(np.abs(bends).max())
-    np.testing.assert_allclose(
-        landscape.curvature(x, peak, np.ones(1)), bends, atol=5e-2 * size
-    )  # the peak's frequency, 1e-5 / 1e-4
-    for step in 0.05 * rng.standard_normal((20, len(x))):
-        assert np.all(landscape.heights(x + step, cuts)[0] <= landscape.norm(x + step)[0] * (1 + 1e-9))  # rounding
-
-
-def test_slope_at_infinity():
-    """If what is fed through from noise to z leads, the slope is that of the gain at infinity, and cuts far out have it."""
-    plant = GeneralizedPlant(-np.eye(1), np.eye(1), np.array([[0.1, 0.0]]), np.zeros((1, 1)), np.eye(1), np.zeros((1, 2)))
-    landscape = Landscape(plant, np.eye(1), np.array([[0.0, 5.0]]))
-    x = landscape.point(np.array([[-2.0]]))
-    height, at = landscape.norm(x)
-    assert height == pytest.approx(10.0, rel=1e-8)  # u = K (s + 1) / (s + 1 - K) times the noise
-    assert not at < 1e3
-    slope = landscape.slope(x, at)
-    quotients = [(landscape.norm(x + step)[0] - landscape.norm(x - step)[0]) / 2e-5 for step in 1e-5 * np.eye(len(x))]
-    np.testing.assert_allclose(slope, quotients, atol=1e-3 * float(np.linalg.norm(slope)))  # 1e-9 over 1e-5
-    cuts = landscape.cuts(x, landscape.summits(x, 0.5 * height), 0.9 * height)
-    assert landscape.heights(x, cuts)[0].max() == pytest.approx(height, rel=1e-6)  # the far frequency is FAR times the poles
 
 
 @pytest.mark.attack

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from synth.analysis.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
+from synth.analysis.norm import hinf_norm, level_set_norm, sweep_norm
 from synth.plant.generalized import GeneralizedPlant
-from tests import exactly
 from tests.commands import attacks
 
 
@@ -131,6 +130,8 @@ PUBLISHED = {
     "ten_resonances": (many_resonances(np.ones(10)), 1.05871265, 1e-8, 0.9874, 1e-4, "ControlSystems.jl"),
     "fourth_of_ten": (many_resonances(np.where(np.arange(10) == 4, 2, 1)), 2.00918, 1e-5, 4.9981, 1e-4, "ControlSystems.jl"),
     "static": (STATIC, 1.760164138376307, 1e-14, 0.0, 0, "ControlSystems.jl"),
+    # Its two-step routine gives up there, the other stops 2e-4 below. The rational function itself on a fine grid has this peak.
+    "sensitivity": (sensitivity(), 1.3056105481, 1e-9, 5.686244, 1e-5, "ControlSystems.jl, issue 1014"),
 }
 
 
@@ -143,18 +144,6 @@ def test_published_norm(name):
     assert norm.gap < 1e-8
     if peak is not None:
         assert norm.peak_frequency == pytest.approx(peak, abs=peak_tolerance)
-
-
-def test_twelfth_order_sensitivity():
-    """A case that ControlSystems.jl's two-step routine gives up on; its other routine stops 2e-4 below the peak.
-
-    The reference is the rational function itself, evaluated from its zeros and poles on a fine grid.
-    """
-    norm = hinf_norm(sensitivity())
-    assert norm.value == pytest.approx(1.3056105481, rel=1e-9)  # the grid's value, given with 11 digits
-    assert norm.peak_frequency == pytest.approx(5.686244, abs=1e-5)  # flat at the peak: half the digits
-    assert norm.gap < 1e-8
-    assert norm.value > 1.3053326074298346  # what hinfnorm2 answers there, at 5.8065 rad/s
 
 
 @pytest.mark.parametrize(
@@ -180,11 +169,15 @@ def test_unstable_systems(route):
         assert route(plant) == (pytest.approx(1.0, rel=1e-12), 0.0)
 
 
-def test_scaling_of_the_states_does_not_matter():
-    """States in units twelve orders of magnitude apart give the same norm."""
-    plant = three_resonances()
-    scaled = plant.in_coordinates(np.diag(10.0 ** np.array([6, -6, 0, 3, -3, 1])))
-    assert hinf_norm(scaled).value == pytest.approx(hinf_norm(plant).value, rel=1e-8)  # rounding 1e-16 over damping 1e-6
+@pytest.mark.parametrize("name", ["ab13dd", "seventh_order"])
+@pytest.mark.parametrize(("time", "of_z"), [(1.0, 1.0), (1e-9, 1e6), (3e5, 1e-6)])
+def test_units_do_not_matter(name, time, of_z):
+    """States in units twelve orders of magnitude apart, any unit of time and any of z give the same norm."""
+    plant, value, *_ = PUBLISHED[name]
+    units = np.resize(10.0 ** np.array([6, -6, 0, 3, -3, 1]), len(plant.A))
+    moved = plant.in_coordinates(np.diag(units))
+    moved = system(moved.A / time, moved.Bw / time, of_z * moved.C, of_z * moved.Dw)
+    assert hinf_norm(moved).value == pytest.approx(of_z * value, rel=1e-8)  # rounding 1e-16 over damping 1e-6
 
 
 @pytest.mark.parametrize("name", ["passive", "state", "I", "II"])
@@ -203,30 +196,22 @@ def large_system(seed: int, states: int, feedthrough: float, least_damping: floa
     return plant.in_coordinates(T)
 
 
-@pytest.mark.parametrize(("seed", "states", "feedthrough"), [(1, 60, 0.5), *attacks([(0, 50, 0.0), (2, 80, 0.0), (3, 100, 0.5)])])
-def test_large_systems(seed, states, feedthrough):
-    """With 50 to 100 states, none damped so little that python-control stops short, the routes agree, and with python-control."""
-    plant = large_system(seed, states, feedthrough, 0.1)
+@pytest.mark.parametrize(
+    ("seed", "states", "feedthrough", "least_damping"),
+    [
+        (1, 60, 0.5, 0.1),
+        *attacks([(0, 50, 0.0, 0.1), (2, 80, 0.0, 0.1), (3, 100, 0.5, 0.1), (1, 74, 0.0, 1e-4), (2, 98, 0.0, 1e-4)]),
+    ],
+)
+def test_large_systems(seed, states, feedthrough, least_damping):
+    """With 50 to 100 states the routes agree, and with python-control where no resonance is so thin that it stops short."""
+    plant = large_system(seed, states, feedthrough, least_damping)
     norm = hinf_norm(plant)
     assert norm.gap < 1e-8  # rounding of poles six orders of magnitude apart
-    space = control.ss(plant.A, plant.Bw, plant.C, plant.Dw)
-    assert norm.value == pytest.approx(control.system_norm(space, "inf", tol=1e-6), rel=1e-5)  # its tolerance  # pyright: ignore[reportArgumentType]
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(3))
-def test_no_frequency_is_higher(seed):
-    """On 50 to 100 states no frequency of a sweep by scipy's Schur form exceeds the norm, and at the peak it is reached."""
-    plant = large_system(seed, 50 + 24 * seed, 0.0, 1e-4)
-    norm = hinf_norm(plant)
-    poles = np.linalg.eigvals(plant.A)
-    near = np.abs(np.imag(poles))[:, None] + np.abs(np.real(poles))[:, None] * np.linspace(-2, 2, 9)
-    T, Z = linalg.schur(plant.A, output="complex")[:2]
-    into, out, eye = Z.conj().T @ plant.Bw, plant.C @ Z, np.eye(len(T))
-    omega = np.concatenate([np.logspace(-3, 4, 300), near.ravel(), [norm.peak_frequency]])
-    gains = [np.linalg.norm(out @ linalg.solve_triangular(1j * w * eye - T, into), 2) for w in omega]
-    assert max(gains) <= norm.value * (1 + 1e-8)  # conditioning of the pole: 1e-16 over its damping and a range of 1e5
-    assert gains[-1] == pytest.approx(norm.value, rel=1e-8)
+    if least_damping == 0.1:
+        space = control.ss(plant.A, plant.Bw, plant.C, plant.Dw)
+        theirs = control.system_norm(space, "inf", tol=1e-6)  # pyright: ignore[reportArgumentType]
+        assert norm.value == pytest.approx(theirs, rel=1e-5)  # its tolerance
 
 
 def test_modes_that_coincide():
@@ -239,83 +224,6 @@ def test_modes_that_coincide():
     assert norm.gap < 1e-12
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_level_crossings_with_feedthrough(seed):
-    """Far above the gain at infinity a Hamiltonian, near it a pencil: at every crossing they propose, the gain is the level."""
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((8, 8))
-    plant = system(
-        A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(8),
-        rng.standard_normal((8, 2)),
-        rng.standard_normal((3, 8)),
-        rng.standard_normal((3, 2)),
-    )
-    at_infinity, top = float(np.linalg.norm(plant.Dw, 2)), hinf_norm(plant).value
-    for level in (1.01 * at_infinity, 0.5 * (1.2 * at_infinity + top), 0.99 * top):
-        crossings = level_crossings(plant.A, plant.Bw, plant.C, plant.Dw, level)
-        dense = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4000)])
-        values = np.linalg.svd(plant.frequency_response(dense), compute_uv=False) - level
-        for i, k in np.argwhere(values[:-1] * values[1:] < 0):
-            inside = crossings[(crossings >= dense[i]) & (crossings <= dense[i + 1])]
-            assert len(inside), (level, dense[i], k)
-            found = np.linalg.svd(plant.frequency_response(inside), compute_uv=False)
-            assert np.abs(found / level - 1).min() < 1e-8  # rounding of a crossing that may be steep
-
-
-@pytest.mark.parametrize("time", [1e-12, 3e-6, 1.0, 3e5, 1e12])
-@pytest.mark.parametrize("of_states", [1e-7, 1.0, 1e5])
-@pytest.mark.parametrize("of_z", [1e-6, 1.0, 1e7])
-def test_level_crossings_in_any_units(time, of_states, of_z):
-    """Near the gain at infinity, too, crossings are the same in any units of time, of states and of z."""
-    rng = np.random.default_rng(3)
-    A = rng.standard_normal((6, 6))
-    A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
-    Bw, C, Dw = rng.standard_normal((6, 2)), rng.standard_normal((3, 6)), rng.standard_normal((3, 2))
-    level = 1.01 * float(np.linalg.norm(Dw, 2))
-    expected = level_crossings(A, Bw, C, Dw, level)
-    found = time * level_crossings(A / time, Bw / time / of_states, C * of_states * of_z, Dw * of_z, level * of_z)
-    for omega in expected:  # others may be proposed, at which nothing crosses
-        if np.abs(np.linalg.svd(C @ np.linalg.inv(1j * omega * np.eye(6) - A) @ Bw + Dw)[1] / level - 1).min() < 1e-9:
-            assert np.abs(found - omega).min() < 1e-9 * expected[-1]  # rounding, measured 1e-14
-
-
-def peak_of(A: exactly.Matrix, Bw: exactly.Matrix, C: exactly.Matrix, near: float, width: float) -> float:
-    """The largest gain about a frequency to 1e-14, from rational arithmetic at fractions of which floats know nothing.
-
-    Within some widths of a resonance the gain to the power of -2 is a parabola, nearly: its lowest point is found by steps.
-    """
-    at, step = Fraction(float(near)), Fraction(float(width))
-
-    def high(omega: Fraction) -> Fraction:
-        return exactly.gain_squared(A, Bw, C, omega)
-
-    for _ in range(60):
-        around = [at + step * part for part in (-1, Fraction(-1, 2), 0, Fraction(1, 2), 1)]
-        gains = [high(omega) for omega in around]
-        best = gains.index(max(gains))
-        at = around[best].limit_denominator(10**40)
-        if best in (1, 2, 3):
-            step /= 2
-        if step < Fraction(width) / 2**28:
-            break
-    return float(high(at)) ** 0.5
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2, 7, 16, 26, 43, 47, 50, 55])
-def test_a_norm_is_as_far_off_as_is_said_at_most(seed):
-    """For dampings from 1e-5 to 1e-13 exact arithmetic finds the peak, between floats: it lies within the stated rounding."""
-    rng = np.random.default_rng(seed)
-    damping, rate = 10.0 ** rng.uniform(-13, -5), 10.0 ** rng.uniform(-1, 2)
-    T = np.eye(2) + 0.3 * rng.standard_normal((2, 2))
-    A = np.linalg.solve(T, np.array([[0.0, 1.0], [-(rate**2), -damping * rate]])) @ T
-    plant = system(A, rng.standard_normal((2, 1)), rng.standard_normal((2, 2)))
-    norm = hinf_norm(plant)
-    A, Bw, C = (exactly.exact(part) for part in (plant.A, plant.Bw, plant.C))
-    missed = peak_of(A, Bw, C, norm.peak_frequency, damping * rate / 2) / norm.value - 1
-    assert abs(missed) <= norm.rounding * (1 + 1e-3) + 4e-16  # the curve about the peak is a parabola to so much; floats
-    assert norm.rounding < 2 * abs(missed) + 1e-9  # and it is no more than that: what is below SEEN is only bounded
-
-
 def test_what_floats_of_frequency_miss_is_rounding():
     """For a damping of 1e-12 the peak lies between two floats: the norm is below it by no more than its stated rounding.
 
@@ -323,7 +231,7 @@ def test_what_floats_of_frequency_miss_is_rounding():
     """
     missed = []
     for damping in (1e-9, 1e-10, 1e-11, 1e-12, 3e-13, 1e-13):
-        for omega in (7.0, 1.3, 2.0, 0.011, 311.7):
+        for omega in (1.3, 311.7):
             plant = oscillator(omega, damping)
             a, b, c = (Fraction(float(entry)) for entry in (-plant.A[1, 1], -plant.A[1, 0], plant.C[0, 0]))
             norm = hinf_norm(plant)

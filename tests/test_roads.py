@@ -317,32 +317,6 @@ def test_bad_opencrg(tmp_path, old, new, said):
 
 
 @pytest.mark.extra
-@pytest.mark.parametrize("form", ["LDFI", "LRFI", "KDBI", "KRBI"])
-@pytest.mark.parametrize("increment", ["reference_line_increment", "reference line u"])
-def test_cut_opencrg(tmp_path, form, increment):
-    """A surface that was cut is refused wherever the cut is, also between two cross-sections, where the reader warns only."""
-    pyopencrg = pytest.importorskip("pyopencrg")
-    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
-    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
-    content = path.read_bytes()
-    keep = "reference line u" if increment == "reference_line_increment" else "reference_line_increment"
-    content = b"\n".join(line for line in content.split(b"\n") if keep.encode() not in line) if form.endswith("FI") else content
-    path.write_bytes(content)
-    assert choose_road("road.crg", tmp_path).surface is not None
-    data = content.index(b"$$$$$$$$$$")
-    data = content.index(b"\n", data) + 1
-    cuts = range(data, len(content) - 1)
-    if form.endswith("FI"):  # also at every end of a line; the last one is none
-        ends = [i + 1 for i in cuts if content[i : i + 1] == b"\n"]
-    else:
-        ends = [data + i for i in range(80, len(content) - data, 80)]
-    for cut in [*ends, *np.random.default_rng(2).integers(data, len(content) - 1, 20).tolist()]:
-        path.write_bytes(content[:cut])
-        with pytest.raises(InputError, match=f"^road file {path}: "):
-            choose_road("road.crg", tmp_path)
-
-
-@pytest.mark.extra
 def test_opencrg_in_two_files(tmp_path):
     """An OpenCRG file may name the file with its data."""
     pyopencrg = pytest.importorskip("pyopencrg")

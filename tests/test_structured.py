@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg
 
-from synth.analysis.certificate import bounded_real_matrix
 from synth.analysis.uncertainty_box import Loops, lmi
 from synth.design.two_step import two_step_design
 from synth.lmi import central_path as central
@@ -78,61 +76,6 @@ def test_derivatives_are_those_of_the_dense_basis(monkeypatch, seed, n, m, free,
     np.testing.assert_allclose(np.sort(found.rates(step)), np.sort(expected.rates(step)), atol=1e-10)
     solved = found.solve(found.half(step))
     np.testing.assert_allclose(solved, expected.solve(expected.half(step)), rtol=0, atol=1e-9 * np.abs(solved).max())
-
-
-@pytest.mark.parametrize("phase", ["path", "start"])
-@pytest.mark.parametrize("seed", range(3))
-def test_hessian_is_the_difference_quotient_of_the_gradient(seed, phase):
-    """And the gradient that of the sum of log-determinants."""
-    _, quick, basis = both(a_plant(seed, 5, 2, 0.3), 2, phase)
-    p = somewhere(basis, np.random.default_rng(seed))
-
-    def gradient(p):
-        here = quick.at(p)
-        assert here is not None
-        return here.trace
-
-    def value(p):
-        unknown = quick.matrix(p)
-        halves = [(part, part.left @ unknown @ part.right.T) for part in quick.constraints]
-        return sum(np.linalg.slogdet(part.S0 + half + half.T + p[-1] * part.last)[1] for part, half in halves)
-
-    here = quick.at(p)
-    assert here is not None
-    for i, direction in enumerate(1e-5 * np.eye(basis.size)):
-        # Third derivatives of size 1e3 times 1e-10; rounding 1e-15 over 1e-5.
-        assert (value(p + direction) - value(p - direction)) / 2e-5 == pytest.approx(here.trace[i], rel=1e-6, abs=1e-6)
-        quotient = -(gradient(p + direction) - gradient(p - direction)) / 2e-5
-        np.testing.assert_allclose(quotient, hessian(here)[i], rtol=1e-5, atol=1e-5 * np.abs(hessian(here)).max())
-
-
-def test_outside_there_is_nothing():
-    """If a constraint does not hold there are no derivatives."""
-    _, quick, basis = both(a_plant(0, 5, 2, 0.0), 0, "path")
-    assert quick.at(basis.pack(-np.eye(5), np.zeros((2, 5)), 0.0)) is None
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_nearly_singular_constraints_keep_their_digits(seed):
-    """1e-9 short of the largest eta, the Newton step in the directions that S does not bend is still that of the dense basis."""
-    plant = a_plant(seed, 6, 2, 0.0)
-    dense, quick, basis = both(plant, 0, "path")
-    X, Y = np.eye(6), np.zeros((2, 6))
-    F = bounded_real_matrix(plant, X, Y, 0.0)
-    largest = 1 / linalg.eigh(-path_constraints(plant)[0].last, -F, eigvals_only=True)[-1]
-    p = basis.pack(X, Y, largest * (1 - 1e-9))
-    expected, found = dense.at(p), quick.at(p)
-    assert expected is not None
-    assert found is not None
-    R = np.triu(expected.triangle)
-    slow = np.linalg.svd(R / expected.scale)[2][
-        -20:
-    ]  # where the second derivatives are of order one, 1e18 times below the largest
-    for c in slow:
-        step = expected.solve(expected.half(c))
-        np.testing.assert_allclose(
-            found.solve(found.half(c)), step, rtol=0, atol=1e-4 * np.abs(step).max()
-        )  # 1e-16 / 1e-9, of both
 
 
 @pytest.mark.parametrize("name", ["I", "II"])

@@ -15,7 +15,6 @@ from synth.analysis.norm import hinf_norm
 from synth.command.cross_check import cross_check
 from synth.controller.report import notes
 from synth.design.descent.refine import refine
-from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, two_step_design, well_posed
 from synth.lmi.central_path import Basis, unknowns
 from synth.lmi.full_order_bound import find_lower_bound
@@ -25,6 +24,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, in_the_suite, prose
+from tests.test_discrete import held
 
 README = GeneralizedPlant(
     A=np.array([[0.0, 1], [-4, -0.1]]),
@@ -46,6 +46,7 @@ def beside(plant: GeneralizedPlant, A2, A21, B2, Bw2) -> GeneralizedPlant:
         C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
         D=plant.D,
         Dw=plant.Dw,
+        dt=plant.dt,
     )
 
 
@@ -104,10 +105,11 @@ def drawn(seed: int) -> tuple[str, GeneralizedPlant, np.ndarray]:
 def test_a_state_that_z_does_not_see_changes_nothing(driven, designer):
     """Beside a plant it gets no gain, and the other gains, the bound and the norm are those of the plant without it."""
     rng = np.random.default_rng(1)
-    for plant, Cy in ((README, np.array([[0.0, 1.0]])), (designer.plant, np.eye(4)[[0, 2]])):
+    car, Cy_of_I, A2 = designer.plant, np.eye(4)[[0, 2]], np.array([[-3.0, 1.0], [-1.0, -3.0]])
+    for plant, Cy in ((README, np.array([[0.0, 1.0]])), (car, Cy_of_I), (held(car, 0.01), Cy_of_I)):
         n, m, r = len(plant.A), plant.B.shape[1], plant.Bw.shape[1]
         drives = [on * rng.standard_normal((2, size)) for on, size in zip(driven, (n, m, r), strict=True)]
-        wide = beside(plant, np.array([[-3.0, 1.0], [-1.0, -3.0]]), *drives)
+        wide = beside(plant, A2 if plant.dt is None else np.eye(2) + plant.dt * A2, *drives)
         path, without = state_path(wide), state_path(plant)
         assert path[-1].gamma == pytest.approx(without[-1].gamma, rel=1e-9)
         assert not np.any(path[-1].K[:, n:])
@@ -449,16 +451,6 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     assert (
         "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
     )
-
-
-def test_what_has_no_solution_is_not_searched_for():
-    """If problem (25) has no solution from any X, that is the answer; x'' = x + u from x' has no static gain."""
-    C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0.0], [1.0]])
-    plant = GeneralizedPlant(
-        np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[0.0], [1.0]]), np.ones((2, 1)), C, D, np.zeros((3, 1))
-    )
-    with pytest.raises(InfeasibleError, match=r"whose mode at 1 1/s does not decay"):
-        two_steps_or_descent(plant, np.array([[0.0, 1.0]]))
 
 
 def test_one_broken_path_is_no_proof(monkeypatch, designer):
