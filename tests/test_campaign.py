@@ -591,7 +591,7 @@ BAD_FILES = [
     ({"speeds": '["fast"]'}, "", "speeds: 'fast' is not allowed"),
     ({"speeds": "[0.0]"}, "", "speeds: 0.0 is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 makes no runs"),
-    ({"seeds": "1.5"}, "", "no number of seeds"),
+    ({"seeds": "1.5"}, "", "no number of seeds; give how many"),
     ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give a whole number"),
     ({"seeds": "[1, 1]"}, "", "seeds has one twice"),
     ({"seeds": "[-1]"}, "", "seed = -1"),
@@ -616,6 +616,7 @@ BAD_FILES = [
         "reaches a value that is none, for vehicle 'quarter_car': sprung_mass = -10",
     ),
     ({}, SAMPLED + "sprung_mass = { normal = [500, 200] }", "sprung_mass = -100"),
+    ({}, SAMPLED + "sprung_mass = { uniform = ['400 kg', '500 kg'], relative = true }", "and a pure number is expected"),
     (
         {},
         SAMPLED + "tyre_stiffness = { uniform = [1e3, 2e5] }",

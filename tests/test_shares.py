@@ -140,6 +140,16 @@ def test_work_is_taken_as_threads_become_free():
         next(done)
 
 
+def test_pieces_that_wait_are_abandoned():
+    """A caller that stops early ends what its running pieces wait for."""
+    hanging = threading.Event()
+    pieces = [lambda stopped: None, *[lambda stopped: hanging.wait(60)] * 2]
+    with closing(side_by_side(pieces, 3, hanging.set)) as done:
+        assert next(done) == (0, None)
+        assert not hanging.is_set()
+    assert hanging.is_set()
+
+
 def test_what_runs_share_is_made_once(monkeypatch):
     """The open loop is made once for each controller of a run, and its road is sampled once, whoever asks for them."""
     loops, samples, time = list[str](), list[tuple[str, int]](), times(1e-3, 0.5)
