@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from models.vehicle.names import PLUS
+from models.vehicle.names import PLUS, named_files
 from sim.command.envelope_options import nearest_run, parser
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.outputs import check_outputs, written, written_lines
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.command.comparison import log_lines, recorded, warn
     from sim.runs.run import sample_times
     from sim.studies.validity.edges import edge_lines, edges, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
@@ -57,11 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loads = tuple(map(choose_load, options.loads))
     loaded(bumps[0], loads).check(vehicle, time)
     outputs = {"csv": options.csv, "picture": options.picture}
-    check_outputs(outputs | {"logs": options.logs}, vehicle.files, options.json)
+    check_outputs(outputs | {"logs": options.logs}, [*vehicle.files, *named_files(options.loads)], options.json)
     stage = Stages("design", "map", "picture and logs")
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
-    say_false_claims([controller])
+    warn(vehicle, [controller])
     cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
     stage("picture and logs")
     fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}

@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.outputs import check_outputs, written, written_lines
     from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.command.comparison import log_lines, recorded, warn
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
     from sim.studies.stability.fragility import find_fragility
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("design")
     sample_times(vehicle, LONGEST, options.timestep)
     controller = _with_loop(vehicle, Designer(as_built, search=False).design(name), options.timestep)
-    say_false_claims([controller])
+    warn(vehicle, [controller])
     coded, exported = _with_code(as_built, controller, options.exported), None
     if coded is not None:
         from sim.studies.stability.exported_margins import find_exported_margins

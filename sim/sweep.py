@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from models.figures.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, say_false_claims
+    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
     from sim.linear.nonlinear_elements import at_rest_words
     from sim.studies.frequency.sweep import (
         EXTREMES,
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep), options.exported)
     driven = [one.name for one in controllers]
     how = options.amplitude, options.timestep, options.speed
-    say_false_claims(controllers)
+    warn(vehicle, controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)

@@ -3,12 +3,13 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 
 import pytest
 
-from models.common.children import Child, EndedError
+from models.common.children import Child, EndedError, kill_children
 from tests.commands import environment
 
 
@@ -50,6 +51,17 @@ def test_each_way_to_fail_is_an_exception(message, error, said):
         child.ask(message, 1.0)
     with pytest.raises(EndedError):
         child.ask("pass", 10.0)
+
+
+def test_children_that_hang_are_killed_at_once():
+    """`kill_children` ends a call that does not return, for which another thread waits."""
+    child, began = Child(answers), time.monotonic()
+    child.ask("pass", 10.0)
+    killer = threading.Timer(0.2, kill_children)
+    killer.start()
+    with pytest.raises(EndedError):
+        child.ask("time.sleep(1000)", 30.0)
+    assert time.monotonic() - began < 15.0
 
 
 def test_a_child_that_waits_ends_as_a_script_does(tmp_path):

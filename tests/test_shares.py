@@ -119,3 +119,13 @@ def test_work_is_taken_as_threads_become_free():
     assert sorted(results) == [(number, number**2) for number in range(10)]
     with pytest.raises(ZeroDivisionError), closing(side_by_side([lambda stopped: 1 / 0], 2)) as done:
         next(done)
+
+
+def test_pieces_that_wait_are_abandoned():
+    """A caller that stops early ends what its running pieces wait for."""
+    hanging = threading.Event()
+    pieces = [lambda stopped: None, *[lambda stopped: hanging.wait(60)] * 2]
+    with closing(side_by_side(pieces, 3, hanging.set)) as done:
+        assert next(done) == (0, None)
+        assert not hanging.is_set()
+    assert hanging.is_set()

@@ -274,6 +274,15 @@ def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
     assert ("stop_stiffness is 100 N/m" in asked) == (name == "suspension_stroke")  # N/mm
 
 
+def test_a_map_asks_about_units_too(tmp_path, capsys):
+    """Commands that run a vehicle ask about its units as `synth` does."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + "[limits]\nsuspension_stroke = 80\nstop_stiffness = 1e5\n")
+    options = ["--vary", "height:0.02:0.03:2", "--duration", "0.5", "--timestep", "0.005", "--json"]
+    assert main_of("sim.envelope")(["--vehicle", str(file), "--controller", "passive", *options]) == 0
+    assert "suspension_stroke is 80 m; is it in m?" in capsys.readouterr().err
+
+
 def test_vehicles_that_ship_raise_no_doubt():
     """Nothing is asked about the vehicles that ship."""
     for one in map(read_vehicle, shipped()):

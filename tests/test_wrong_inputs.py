@@ -23,6 +23,7 @@ SUITE = [  # command line; what is edited in which file, if anything; a word of 
     (CAR, "car.toml: [[1.0]] -> [[1.0, 2.0]]", "gain"),
     (DRIVE + " --road road.csv", "road.csv: 0.01 -> x", "'x'"),
     (DRIVE + " --load load.csv", "load.csv: heave [N] -> heave [kg]", "kg"),
+    (DRIVE + " --road rig:file=drive.csv --csv drive.csv", "", "is an input file"),
     (CAMPAIGN, 'campaign.toml: "mine" -> "yours"', "yours"),
     ("sim.inspect empty.mcap", "", "empty.mcap"),
     ("synth --check car.toml --refine", "", "--check"),
@@ -43,13 +44,17 @@ ATTACKS = [
     ("sim.gallery moon", "", "'moon'"), ("sim.inspect car.toml", "", "car.toml"), ("sim.new car.toml", "", "car.toml"),
     ("synth --vehicle car.toml --controller mine", "car.toml: gain = -> gian =", "gian"),
     (CAMPAIGN, "campaign.toml: duration -> durations", "durations"), ("sim.campaign --verify nowhere", "", "nowhere"),
-    ("sim.inspect nowhere.mcap", "", "nowhere.mcap"),
+    ("sim.inspect nowhere.mcap", "", "nowhere.mcap"), (MAP + " width:1:2:3", "", "width"),
+    (DRIVE + " --road road.csv --csv road.csv", "", "is an input file"), (DRIVE + " --road pothole:depth=60", "", "-10 to 10 m"),
+    (DRIVE + " --road 'flat + load.csv' --csv load.csv", "", "is an input file"),
+    (MAP + " height:0.1:0.2:2 --load load.csv --csv load.csv", "", "is an input file"),
 ]  # fmt: skip
 FILES = {
     "law.py": "def step(sample, state):\n    return 0.0, state\n",
     "campaign.toml": 'vehicles = ["car.toml"]\ncontrollers = ["mine"]\nroads = ["bump"]\nspeeds = [20.0]\nduration = 1.0\n',
     "road.csv": "distance [m],height [m]\n0,0\n1,0.01\n2,0\n",
     "load.csv": "time [s],heave [N]\n0,0\n1,100\n",
+    "drive.csv": "time [s],road_displacement [mm]\n0,0\n1,5\n2,0\n3,1\n",
     "empty.mcap": "",
 }
 # Every command in a folder of its own, all in one process: their imports take longer than they do.

@@ -66,7 +66,9 @@ def cores() -> int:
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
-def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tuple[int, Result]]:
+def side_by_side(
+    pieces: Iterable[Piece[Result]], threads: int, abandon: Callable[[], None] = lambda: None
+) -> Generator[tuple[int, Result]]:
     """Yields the number and the result of every piece of work, in the order of completion.
 
     Pieces are taken as threads become free, and run in the context of the first `next`. A caller that stops early must close the
@@ -74,6 +76,7 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
 
     Args:
         pieces: of work; long ones first, so that the threads end at about the same time.
+        abandon: ends what running pieces wait for; called if the work is abandoned.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:
@@ -86,6 +89,8 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
                     return
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(done), done.result()
-        finally:
+        except BaseException:  # also of a caller that stops early
             stop.set()
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
+            abandon()
+            raise

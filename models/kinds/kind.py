@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, alike
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
@@ -419,7 +419,7 @@ class VehicleKind(Checked):
         for name in parameters:
             if name not in names:
                 why = "".join(f" ({said})" for beginning, said in self.lacking.items() if name.startswith(beginning))
-                raise InputError(f"unknown parameter {name!r}; a {self.name} has {listing(names)}{why}")
+                raise InputError(f"unknown parameter {name!r}; a {self.name} has {alike(name, names)}{why}")
         parameters = {part.name: part.usual for part in self.parameters if part.usual is not None} | dict(parameters)
         for parameter in self.parameters:
             if parameter.name not in parameters and not parameter.optional:

@@ -157,7 +157,7 @@ class Road(ABC):
             )
 
 
-LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
+LIMITS = {"height": (-10.0, 10.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
 UNITS = dict.fromkeys(("from", "height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
     "speed": "m/s",
     "lowest": "Hz",

@@ -6,6 +6,7 @@ Help pages use this module, and so it imports nothing that builds roads.
 import re
 import unicodedata
 from collections.abc import Collection, Iterable
+from pathlib import Path
 
 from models.common.errors import InputError
 
@@ -72,6 +73,12 @@ def split_off(text: str) -> tuple[str, list[str]]:
     """Splits a text into its road and its loads: `bump + brake:g=0.5 + push.csv`."""
     road, *loads = JOINED.split(text)
     return road, loads
+
+
+def named_files(texts: Iterable[str | None]) -> list[Path]:
+    """Returns the files in the texts of roads and loads."""
+    parts = (part.strip() for text in texts if text for road, loads in (split_off(text),) for part in (road, *loads))
+    return [Path(file[0]) for file in map(named_file, parts) if file]
 
 
 def is_load_file(text: str) -> bool:

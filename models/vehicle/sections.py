@@ -158,9 +158,9 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     roads = [road for goal in goals if goal is not None for road in goal.roads]
     if not roads:
         return []
-    from models.vehicle.names import named_file
+    from models.vehicle.names import named_files
 
-    return [Path(file[0]) for file in map(named_file, roads) if file]
+    return named_files(roads)
 
 
 def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:

@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
-from sim.command.comparison import controllers_of, say_false_claims
+from sim.command.comparison import controllers_of, warn
 from synth.controller.controller import Controller, Driver
 from synth.vehicle.designer import Designer
 
@@ -37,7 +37,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> Controllers:
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
-        say_false_claims(controllers)
+        warn(vehicle, controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle
 

@@ -171,7 +171,7 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
             )
         return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
-        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds, nor a list of whole numbers")
+        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds; give how many, or a list of whole numbers")
     checked_seeds = tuple(check_seed(seed) for seed in seeds)
     if len(set(checked_seeds)) < len(checked_seeds):
         raise InputError("seeds has one twice; name each once")

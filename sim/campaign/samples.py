@@ -214,12 +214,13 @@ def _distribution(where: str, name: str, entry: Any, unit: str = "") -> Distribu
     values = entry[shapes[0]]
     if not isinstance(values, list) or len(values) != 2:
         raise InputError(f"{where}: {shapes[0]} = {quoted(values)} is not two numbers, {example}")
-    a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, unit) for value in values)
+    relative = entry.get("relative", False)
+    a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, "" if relative else unit) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(
             f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
         )
-    return Distribution(name, shapes[0], a, b, entry.get("relative", False))
+    return Distribution(name, shapes[0], a, b, relative)
 
 
 def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle) -> None:

@@ -31,11 +31,12 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
     """Runs batches on threads, and yields each when it is complete. MuJoCo and NumPy work outside Python's lock."""
+    from models.common.children import kill_children
 
     def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
         return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped))
 
-    with closing(side_by_side(map(piece, batches), workers)) as done:
+    with closing(side_by_side(map(piece, batches), workers, kill_children)) as done:
         for _, (start, rows, took) in done:
             if rows is not None:
                 yield start, rows, took

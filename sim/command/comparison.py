@@ -114,6 +114,13 @@ def exported_lines(exported: Mapping[str, Any], full: bool) -> list[str]:
     return ["", *numbers_lines(exported["exported"], full)]
 
 
+def warn(vehicle: Vehicle, controllers: Iterable[Driver]) -> None:
+    """Warns on stderr of numbers of a vehicle that are probably not in SI units, and as `say_false_claims` does."""
+    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+        complain(doubt)
+    say_false_claims(controllers)
+
+
 def say_false_claims(controllers: Iterable[Driver]) -> None:
     """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
 
@@ -252,10 +259,8 @@ def run_named(
 
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
-    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
-        complain(doubt)
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
-    say_false_claims(controllers)
+    warn(vehicle, controllers)
     return run_controllers(vehicle, controllers, road, time)
 
 

@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.figures.outputs import check_outputs, written, written_lines
 from models.roads.road import Road
-from models.vehicle.names import logged_variant, run_without, variant
+from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines, gaps, starts_later
@@ -137,7 +137,8 @@ def drive(
         for remark in gaps(road, options.duration):
             complain(remark)
     comparison.check_view(options)
-    files = tuple(file for vehicle in vehicles.values() for file in vehicle.files)
+    texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # of sim.drive
+    files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
 
     driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]

@@ -58,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.page import check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
+    from models.vehicle.names import named_files
     from sim.report.worker_processes import WorkerPool, processes
     from sim.studies.ride.standing import standing_lines
 
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
     outputs = _outputs(options, subjects)
     for title, (vehicle, _) in subjects.items():
-        check_outputs(outputs[title], vehicle.files, options.json)
+        check_outputs(outputs[title], [*vehicle.files, *named_files((options.road, *options.loads))], options.json)
     if options.figures is not None:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
@@ -172,7 +173,7 @@ def _reported(
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
     from models.common.errors import InputError
-    from sim.command.comparison import controllers_of, runnable, say_false_claims
+    from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import BUMP_DURATION, Exported, Scope, check_scope
@@ -208,7 +209,7 @@ def _reported(
         known = {one.name: one for one in controllers}
         coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
         exported = Exported(options.exported, next(one for one in coded if code_of(one) is not None))
-    say_false_claims(controllers)
+    warn(vehicle, controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     own = {"own_road": road, "road_name": name, "duration": duration}
