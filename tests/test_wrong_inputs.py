@@ -15,6 +15,7 @@ from tests.pages import hopper
 
 CAR = "sim.bump --vehicle car.toml --controller mine"
 DRIVE = "sim.drive --controller passive"
+MAP = "sim.envelope --controller I --vary speed:5:20:2 --vary"
 CAMPAIGN = "sim.campaign campaign.toml"
 SUITE = [  # command line; what is edited in which file, if anything; a word of the message
     ("sim.bump --controller III", "", "'III'"),
@@ -30,19 +31,31 @@ SUITE = [  # command line; what is edited in which file, if anything; a word of 
     ("sim.report --out page.pdf", "", "page.pdf"),
 ]
 ATTACKS = [
+    ("sim.bump", "", "no controller"), ("sim.bump --controller I --height nan", "", "finite"),
+    ("sim.bump --controller I --colour red", "", "--colour"), ("sim.bump --controller I --no-logs --logs x", "", "--no-logs"),
+    ("sim.bump --controller I --timestep 1", "", "timestep"), ("sim.bump --controller I --picture out.pdf", "", "out.pdf"),
+    ("sim.bump --controller I --vehicle mini", "", "mini"),
     ("sim.bump --vehicle hopper.toml --controller passive", "hopper.xml: <mujoco -> <robot", "hopper.xml"),
     ("sim.bump --vehicle hopper.toml --controller passive", "hopper.py: KIND -> KINDS", "KIND"),
     ("sim.bump --vehicle law.toml --controller mine", "law.py: def step -> def stop", "step"),
+    ("sim.bump --controller I --height high", "", "'high'"), ("sim.bump --controller I --speed -5", "", "speed = -5"),
     (CAR, 'car.toml: 504.5 -> "504.5 N"', "sprung_mass"), (CAR, "car.toml: 504.5 -> nan", "sprung_mass"),
     (CAR, "car.toml: sprung_mass -> spring_mass", "spring_mass"), (CAR, "car.toml: 504.5 -> 504.5 kg", "car.toml"),
-    (CAR, 'car.toml: ["sprung_velocity"] -> ["speed"]', "'speed'"), (DRIVE + " --road bump:high=0.1", "", "high"),
+    (CAR, 'car.toml: ["sprung_velocity"] -> ["speed"]', "'speed'"), (DRIVE + " --class Q", "", "'Q'"),
+    (DRIVE + " --class A --road bump", "", "not both"), (DRIVE + " --road bump:high=0.1", "", "high"),
     (DRIVE + " --road nowhere.csv", "", "nowhere.csv"), (DRIVE + " --road road.csv", "road.csv: 2, -> 0.5,", "road.csv"),
-    (DRIVE + " --road road.csv", "road.csv: height [m] -> height [furlong]", "furlong"),
-    (DRIVE + " --load load.csv", "load.csv: time [s] -> time", "unit"), ("sim.campaign nowhere.toml", "", "nowhere.toml"),
+    (DRIVE + " --road road.csv", "road.csv: height [m] -> height [furlong]", "furlong"), (DRIVE + " --load push", "", "'push'"),
+    (DRIVE + " --load load.csv", "load.csv: time [s] -> time", "unit"), (DRIVE + " --seed 1.5", "", "'1.5'"),
+    (DRIVE + " --load brake", "", "pitches"), ("sim.sweep --amplitude 0", "", "amplitude"),
+    ("sim.sweep --picture nowhere/a.png", "", "nowhere"), ("sim.envelope --controller I", "", "axis"),
+    (MAP + " height:0.2:0.1:3", "", "low < high"), (MAP + " height:0.1:0.2:2 --csv car.toml --vehicle car.toml", "", "car.toml"),
+    ("sim.margins --controller passive", "", "'passive'"), ("sim.campaign nowhere.toml", "", "nowhere.toml"),
     (CAMPAIGN + " --workers 0", "", "workers"), (CAMPAIGN, 'campaign.toml: 1.0 -> "long"', "duration"),
     (CAMPAIGN, 'campaign.toml: ["bump"] -> ["mud"]', "mud"), (CAMPAIGN, "campaign.toml: [20.0] -> [-20.0]", "speed"),
     ("sim.gallery moon", "", "'moon'"), ("sim.inspect car.toml", "", "car.toml"), ("sim.new car.toml", "", "car.toml"),
+    ("synth --rates 0", "", "--rates"), ("synth --vehicle car.toml --save car.toml", "", "car.toml"),
     ("synth --vehicle car.toml --controller mine", "car.toml: gain = -> gian =", "gian"),
+    ("synth --controller state --zero-l", "", "--zero-l"), ("sim.report --controller nobody", "", "'nobody'"),
     (CAMPAIGN, "campaign.toml: duration -> durations", "durations"), ("sim.campaign --verify nowhere", "", "nowhere"),
     ("sim.inspect nowhere.mcap", "", "nowhere.mcap"), (MAP + " width:1:2:3", "", "width"),
     (DRIVE + " --road road.csv --csv road.csv", "", "is an input file"), (DRIVE + " --road pothole:depth=60", "", "-10 to 10 m"),
