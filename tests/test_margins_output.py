@@ -153,7 +153,12 @@ def test_the_kind_says_what_varies(hopper, monkeypatch):
 def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
     """Every number of the table with -v is that of --json, in the table's units; without, a terminal shows all."""
     asked = ["--controller", "I", "--timestep", "4e-3"]
-    brief, printed, text = (main([*asked, *how]) or capsys.readouterr().out for how in ([], ["-v"], ["--json"]))
+
+    def words(*how: str) -> str:
+        assert main([*asked, *how]) == 0
+        return capsys.readouterr().out
+
+    brief, printed, text = words(), words("-v"), words("--json")
     result, said = json.loads(text), " ".join(printed.split())
     assert brief.count("\n") <= 24  # what a terminal shows
     rows = [

@@ -1,6 +1,7 @@
 """Stability and norms of a whole box of constant errors: proofs by multipliers, and by an X that moves with the errors."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,6 +147,7 @@ def test_a_norm_in_a_band_with_errors(low, high, loose):
 @pytest.mark.parametrize("which", ["multipliers", "moving X", "moving X in a band"])
 def test_a_damaged_proof_proves_nothing(which):
     """A lower bound, other matrices, too few corners, a gap between intervals, or a wider box is no proof."""
+    proof: Any
     gain, box, proof, largest = made(_in_band, 4.0, 8.0) if which == "moving X in a band" else made(_everywhere)
     wider = box_of(gain, 0.22, 0.05)  # in it a loop is unstable
     if which == "multipliers":

@@ -263,7 +263,10 @@ def test_command(capsys):
     step = json.loads(capsys.readouterr().out)["step"]
     assert step["band"] == 5.0
     ((one,),) = (step["runs"],)
-    brief, printed = (main([*options, *how]) or prose(capsys.readouterr().out) for how in ([], ["-v"]))
+    assert main(options) == 0
+    brief = prose(capsys.readouterr().out)
+    assert main([*options, "-v"]) == 0
+    printed = prose(capsys.readouterr().out)
     travel = one["signals"]["suspension_deflection"]["mujoco"]
     assert f"step: suspension_deflection [m] peak at s over % settled s IAE ITAE I {travel['peak']:.5g}" in brief
     for name in ("suspension_deflection", "tyre_deflection", "sprung_acceleration", "control_force"):
