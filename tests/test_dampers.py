@@ -12,6 +12,7 @@ from models.roads.load import Lift
 from models.roads.loaded import RoadWithLoads
 from models.roads.road import Bump, Road, RoadInput
 from models.vehicle.vehicle import parse_vehicle
+from sim.linear.dampers import scaled_commands
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import largest_timestep
 from sim.runs.prediction import NEAR
@@ -385,3 +386,11 @@ def test_nothing_is_expected_of_a_damper_that_is_asked():
     assert expect(vehicle, design(vehicle, "passive"), spectrum, 1e-3, 10.0) is not None
     assert expect(vehicle, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is None
     assert expect(vehicle.with_ideal_actuators, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is not None
+
+
+def test_over_a_share_of_a_road_forces_shrink_and_coefficients_stay():
+    """Over a hundredth of a road coefficients of dampers are as they were; forces, missing ones too, are a hundredth."""
+    dampers, actuators = parse_vehicle(QUARTER + DAMPER), parse_vehicle(QUARTER)
+    commands = np.array([[1500.0, -40.0], [300.0, 0.0]])
+    np.testing.assert_array_equal(scaled_commands(dampers, commands, 0.01), [[1500.0, -0.4], [300.0, 0.0]])
+    np.testing.assert_array_equal(scaled_commands(actuators, commands[:, :1], 0.01), [[15.0], [3.0]])

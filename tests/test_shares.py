@@ -11,8 +11,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from models.common.threads import AHEAD, side_by_side
+from models.common.threads import AHEAD, one_thread, side_by_side
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
@@ -28,6 +29,22 @@ HALVES = [slice(0, 4), slice(4, 8)]
 
 def times(timestep: float, duration: float) -> np.ndarray:
     return np.arange(round(duration / timestep) + 1) * timestep
+
+
+def test_a_block_has_one_thread_of_blas():
+    """BLAS has one thread within blocks, nested or not, and after the last one as many as before."""
+
+    def counts() -> set[int]:
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = counts()
+        with one_thread():
+            assert counts() <= {1}
+            with one_thread():
+                pass
+            assert counts() <= {1}
+        assert counts() == before
 
 
 @pytest.mark.parametrize("kind", ["quarter_car", pytest.param("full_car", marks=pytest.mark.attack)])
