@@ -95,7 +95,7 @@ two steps, LMI path                                            2691   1088     4
 certificates, norms, lower bounds                              3325   2552     69
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/exactly.py
-    tests/test_{bounds_hold,certificate,claims,forged*,lower_bound,noise,norm,stability,zeros}.py
+    tests/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
 plant algebra, filters, any plant                              2247   2169    210
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py

@@ -128,6 +128,10 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
 def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """Returns a controller as a system from measurements to forces, with names; continuous or sampled like its law.
 
+    Args:
+        vehicle: the vehicle of the controller.
+        controller: a linear controller that measures something.
+
     Raises:
         InputError: it measures nothing, or is another vehicle's.
 
