@@ -64,9 +64,9 @@ preview, LQR, LQG, H2                                           692    664     4
 anti-windup, integrals, compatible options                      400   1185      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/pairs.py tests/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                           1016    472      0
-    models/laws/law_structure.py synth/design/fixed_order/* tests/test_{fixed_order,reduction}.py
-goals, families, trade-off front                               4569   1969    177
+fixed order, PI, PID                                           1032    492      0
+    models/laws/law_structure.py synth/design/fixed_order/* tests/test_fixed_order.py
+goals, families, trade-off front                               4682   2202    177
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/goals.py tests/test_{band,energy_limits,family,front,goals*}.py

@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, prove_lower_bound
 from synth.analysis.norm import hinf_norm
+from synth.analysis.rigorous import Nullspace, identity, integers, product
 from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
@@ -277,6 +278,20 @@ def test_no_witness_proves_what_is_not_true(seeds):
             )
             proved = prove_lower_bound(plant, good, Cy, hostile(rng, noise))
             assert proved.gamma <= reached * (1 + ROUTES), seed
+
+
+def test_nullspaces_are_exact():
+    """K' Phi = 0 to the last digit, and a column that differs from another by 1e-15 counts."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        K = rng.standard_normal((7, 3)) * 10.0 ** rng.integers(-8, 9, (7, 1))
+        K = np.hstack([K, K[:, :1] * (1 + 1e-15), K[:, 1:2] * 2])
+        whole, _ = integers(K)
+        space = Nullspace(whole)
+        assert len(space.pivots) == 4  # the last is twice another
+        Phi = space.complete(identity(3))
+        assert not np.any(product(whole.T, Phi))
+        assert np.all(np.diagonal(Phi[space.free]) != 0)
 
 
 def test_states_that_z_does_not_see_cost_no_bound():

@@ -11,6 +11,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
+from synth.analysis.rigorous import span_all
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
@@ -291,3 +292,17 @@ def test_what_knows_less_has_no_lower_bound(seed, base):
     assert 0 < state.gamma <= found.gamma
     if found.state is not None:  # and it is proved by what it brings
         assert prove_lower_bound(plant, found.state, Cy, found.observer).gamma == found.gamma
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_z_shows(seed):
+    """Rows and their images span everything modulo a prime only if they do in floats, too: with a hidden state they do not."""
+    rng = np.random.default_rng(seed)
+    n = 6
+    A, C = rng.integers(-9, 10, (n, n)), rng.integers(-9, 10, (1, n))
+    if seed % 2:
+        A[:-1, -1] = C[0, -1] = 0  # nothing shows the last state
+    krylov = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)]).astype(float)
+    rank = np.linalg.matrix_rank(krylov / np.linalg.norm(krylov, axis=1, keepdims=True))
+    assert span_all(C.astype(object), A.astype(object)) == (rank == n)
+    assert (rank == n) == (seed % 2 == 0)

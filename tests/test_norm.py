@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from synth.analysis.norm import hinf_norm, level_set_norm, sweep_norm
+from synth.analysis.norm import hinf_norm, level_crossings, level_set_norm, sweep_norm
 from synth.plant.generalized import GeneralizedPlant
 from tests.commands import attacks
 
@@ -222,6 +222,44 @@ def test_modes_that_coincide():
     assert norm.value == pytest.approx(2**0.5, rel=1e-12)  # both outputs pass what does not change
     assert norm.peak_frequency == pytest.approx(0.0, abs=1e-5)
     assert norm.gap < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_level_crossings_with_feedthrough(seed):
+    """Far above the gain at infinity a Hamiltonian, near it a pencil: at every crossing they propose, the gain is the level."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((8, 8))
+    plant = system(
+        A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(8),
+        rng.standard_normal((8, 2)),
+        rng.standard_normal((3, 8)),
+        rng.standard_normal((3, 2)),
+    )
+    at_infinity, top = float(np.linalg.norm(plant.Dw, 2)), hinf_norm(plant).value
+    for level in (1.01 * at_infinity, 0.5 * (1.2 * at_infinity + top), 0.99 * top):
+        crossings = level_crossings(plant.A, plant.Bw, plant.C, plant.Dw, level)
+        dense = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4000)])
+        values = np.linalg.svd(plant.frequency_response(dense), compute_uv=False) - level
+        for i, k in np.argwhere(values[:-1] * values[1:] < 0):
+            inside = crossings[(crossings >= dense[i]) & (crossings <= dense[i + 1])]
+            assert len(inside), (level, dense[i], k)
+            found = np.linalg.svd(plant.frequency_response(inside), compute_uv=False)
+            assert np.abs(found / level - 1).min() < 1e-8  # rounding of a crossing that may be steep
+
+
+@pytest.mark.parametrize(("time", "of_states", "of_z"), [(1e-12, 1.0, 1.0), (3e5, 1e-7, 1e7), (1e12, 1e5, 1e-6)])
+def test_level_crossings_in_any_units(time, of_states, of_z):
+    """Near the gain at infinity, too, crossings are the same in any units of time, of states and of z."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((6, 6))
+    A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
+    Bw, C, Dw = rng.standard_normal((6, 2)), rng.standard_normal((3, 6)), rng.standard_normal((3, 2))
+    level = 1.01 * float(np.linalg.norm(Dw, 2))
+    expected = level_crossings(A, Bw, C, Dw, level)
+    found = time * level_crossings(A / time, Bw / time / of_states, C * of_states * of_z, Dw * of_z, level * of_z)
+    for omega in expected:  # others may be proposed, at which nothing crosses
+        if np.abs(np.linalg.svd(C @ np.linalg.inv(1j * omega * np.eye(6) - A) @ Bw + Dw)[1] / level - 1).min() < 1e-9:
+            assert np.abs(found - omega).min() < 1e-9 * expected[-1]  # rounding, measured 1e-14
 
 
 def test_what_floats_of_frequency_miss_is_rounding():
