@@ -75,6 +75,7 @@ CHANGES = [
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
     ("a rate that is none", MINE, f"{MINE}\n{LAW}\nsample_period = -1", ["sample_period = -1", "seconds from"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
+    ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
     ("measured as text", MINE, 'measured = "sprung_velocity"', ["[controllers.I] measured = 'sprung_velocity'", MEASURABLE]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
