@@ -96,7 +96,7 @@ REFUSED = [
     ("sim.bump --controller I --vehicle mine.toml", "mine.toml", "no such file", "quarter_car"),
     ("sim.bump --controller I --height high", "--height", "'high' is not a number"),
     ("sim.bump --controller I --height nan", "--height", "'nan' is not a finite number"),
-    ("sim.bump --controller I --height -1e3", "height = -1000", "from -100 to 100"),
+    ("sim.bump --controller I --height -1e3", "height = -1000", "from -10 to 10"),
     ("sim.bump --controller I --length 0", "length = 0", "from 0.001 to 10000"),
     ("sim.bump --controller I --length 0.02", "0.0016 s", "two timesteps of 0.001 s"),
     ("sim.bump --controller I --speed 0", "speed = 0", "from 0.001 to 1000"),

@@ -51,6 +51,7 @@ CHANGES = [
     ),
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
+    ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),

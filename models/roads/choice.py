@@ -140,7 +140,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         return RoadChoice(text, "profile", {}, _begun(text, given, profile))
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
-        raise InputError(_unread(text, folder) or f"unknown road {text!r}; {ROAD_SYNTAX}")
+        raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
     try:
         given = settings(colon + rest, allowed)
@@ -168,7 +168,7 @@ def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
 
 
 def _unread(text: str, folder: Path) -> str:
-    """Returns a message on a text that is an existing file of another type, or an empty text."""
+    """Returns a message on a text that is an existing file of another type; else an empty text."""
     path = folder / text
     if not path.exists():
         path = folder / re.sub(r"(:\w+=[^:]*)+$", "", text)

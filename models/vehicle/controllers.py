@@ -240,7 +240,7 @@ def _controller(
 ) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} is not a section with measured = [signals]")
+        raise InputError(f"{where} is not one section with measured = [signals]; write {where} once, and its keys below")
     design = _design(where, entry)  # a value that is none is no part, and what is beside it is right
     check_together(where, section_parts(entry, model.inputs))
     semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
