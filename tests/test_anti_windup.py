@@ -257,7 +257,7 @@ def test_it_is_recorded_saved_and_proved(tmp_path, capsys):
     (tmp_path / "forged.mcap").write_bytes(written(forged))
     capsys.readouterr()
     assert inspect([str(tmp_path / "forged.mcap")]) == 1
-    assert "its anti-windup is not that of vehicle.toml" in prose(capsys.readouterr().out)
+    assert "claims: the log says otherwise: anti_windup" in prose(capsys.readouterr().out)
     saved = printed("synth", *car, "--json", "--save", "saved.toml", files=files)
     assert next(row for row in saved.json["controllers"] if row["name"] == "kept")["anti_windup"] == RATE
     vehicle = read_vehicle(saved.folder / "saved.toml")
