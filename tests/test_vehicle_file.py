@@ -147,7 +147,12 @@ ADDED = {
         ("mix = 0.5", "mix is of a semi-active law; give one"),
     ],
     ("full_car", ""): [
-        ("[limits.middle]\nsuspension_stroke = 0.1", "[limits.middle]", "no suspension", "front, front_left, front_right, rear"),
+        (
+            "[limits.middle]\nsuspension_stroke = 0.1",
+            "[limits.middle]",
+            "not a suspension",
+            "front, front_left, front_right, rear",
+        ),
         ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
         ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
         (

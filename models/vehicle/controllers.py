@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
-from models.common.errors import InputError, alike, listing, quoted
+from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number
 from models.kinds.linear_model import LinearModel
@@ -170,10 +170,8 @@ class ControllerEntry:
         if self.semi_active is not None:
             return SemiActive(self.name, self.semi_active)
         assert self.python is not None, "any other law is linear"
-        try:
+        with error_in(f"controller {self.name!r}:"):
             return Programmed(self.name, self.measured, self.python, self.python.source())
-        except InputError as error:
-            raise InputError(f"controller {self.name!r}: {error}") from error
 
 
 def read_controllers(
@@ -388,10 +386,8 @@ def _fastest_pole(where: str, entry: Mapping[str, Any]) -> float | None:
     """Returns the largest magnitude of a loop's poles [rad/s], or None without a limit."""
     if "fastest_pole" not in entry:
         return None
-    try:
+    with error_in(where):
         return Parameter("fastest_pole", "rad/s", "of the loop", largest=FASTEST_LIMIT).check(entry["fastest_pole"])
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
 
 
 def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, clipped: bool) -> float | None:
@@ -402,10 +398,8 @@ def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, cl
     """
     if "anti_windup" not in entry:
         return None
-    try:
+    with error_in(where):
         rate = Parameter("anti_windup", "1/s", "of its states", largest=FASTEST_TRACKING).check(entry["anti_windup"])
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
     if law is not None and not law.states:
         raise InputError(f"{where} has anti_windup, and its law has no states that wind up; leave anti_windup out")
     if not clipped:
@@ -447,10 +441,8 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
                 f"{where} {key} has {size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
                 f"{m} actuator(s), and {q} signal(s) are measured"
             )
-    try:
+    with error_in(where):
         return LinearLaw(*(np.array(entry[key], dtype=float).reshape(shapes[key]) for key in MATRICES), sample_period=period)
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
 
 
 def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
