@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from models.common.checks import check_keys
+from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS
@@ -251,9 +251,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
         values_by_key[name] = int(value) if value == int(value) else value
     for name in ("noise", "quantisation"):
-        values = section.get(name, {})
-        if not isinstance(values, dict):
-            raise InputError(f"[implementation] {name} is not a table; write {name} = {{ signal = value }}")
+        values = table_within(f"[implementation] {name}", section.get(name, {}), f"one, as in {name} = {{ signal = value }}")
         for signal in values:
             if signal not in measurable:
                 raise InputError(

@@ -510,7 +510,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    sampled = read_sampled("[implementation]", data.get("implementation", {}).get("sampled", False), implementation.sample_period)
+    sampled = read_sampled("[implementation]", data.get("implementation", {}), False, implementation.sample_period)
     section = data.get("controllers", {})
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}

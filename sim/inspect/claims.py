@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from models.common.printed import finite
 from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
@@ -19,7 +18,6 @@ from sim.inspect.findings import (
     Finding,
     count,
     different,
-    equal,
     largest_difference,
     merge_repeats,
 )
@@ -31,12 +29,12 @@ from sim.runs.agreement import ROUNDING
 from sim.runs.report import energy_lines, half_step_object, run_object, verdict_lines
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS
-from synth.analysis.record import false_claims, to_record
+from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
 from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
 
 REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
-OF_CERTIFICATE = ("certificate", "norm", "bound", "peak_frequency", "poles", "stable")  # claims that `check_certificate` checks
+OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
 
 
 def check_certificate(vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float) -> Iterator[Finding]:
@@ -48,16 +46,8 @@ def check_certificate(vehicle: Vehicle, controller: Controller, recorded: Record
     certificate, record = controller.certificate, recorded.claim("certificate")
     norm = norm_if_implemented(vehicle, controller, h)
     wrong = [*false_claims(record, certificate), *false_norm(record, vehicle, lambda: norm)]
-    absent = [key for key in to_record(certificate) if key not in record]
-    if absent:
-        wrong.append(f"it claims no {absent[0]}, which its proof gives")
     judged = certificate.failures if controller.designed or certificate.bound is not None else ()
     wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
-    if recorded.claim("stable") is not certificate.stable:
-        wrong.append(f"the log says otherwise, but it is {certificate.stability.words}")
-    for key, now in {"norm": certificate.norm.value, "bound": certificate.bound}.items():
-        if not equal(recorded.claim(key), finite(now), ROUNDING, 0.0):
-            wrong.append(f"its {key} is not what was claimed")
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     if not (certificate.peaks_at(float(peak)) if there and peak is not None else peak is None and not there):
         wrong.append("its peak frequency is not what was claimed")

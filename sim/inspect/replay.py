@@ -99,7 +99,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
 
 
 def recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run as the vehicle file has it; a law that was designed, and every proof, is in the log.
+    """Returns the controller of a run: the vehicle file's, with the law of a design, and every proof, from the log.
 
     A law in Python is the attached text.
 
