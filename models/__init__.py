@@ -33,21 +33,4 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from models.roads.sinusoids import SineSweep
     from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "models.common.errors": "InputError",
-            "models.kinds.kind": "GRAVITY BodyLoad Invariant Parameter Suspension Variation VehicleKind Wheel",
-            "models.kinds.linear_model": "LinearModel",
-            "models.kinds.signals": "",
-            "models.laws.linear": "LinearLaw",
-            "models.roads.choice": "choose_road",
-            "models.roads.iso8608": "Iso8608",
-            "models.roads.obstacles": "Flat Pothole Step WattsHump",
-            "models.roads.profile": "Profile",
-            "models.roads.rig": "Rig",
-            "models.roads.road": "Bump Road",
-            "models.roads.sinusoids": "SineSweep",
-            "models.vehicle.vehicle": "Vehicle parse_vehicle read_vehicle",
-        },
-    )
+    __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -4,19 +4,13 @@ Its fourteen states hold the tyre deflections as three modes, which a rigid body
 mode, the twist, is fixed by the suspension deflections and the twist of the road.
 """
 
-from functools import partial
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.kind import BodyLoad, Parameter, Parameters, Variation, VehicleKind, Wheel, nowhere_else
-from models.kinds.linear_model import LinearModel
+from models.kinds.car import Car, lateral
+from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
-
-if TYPE_CHECKING:
-    from models.kinds.motion import Motion
 
 AXLES = rigid_body.AXLES
 SIDES = ("left", "right")
@@ -58,39 +52,8 @@ PARAMETERS = (
 )
 
 
-def _at_corners(signal: signals.Signal) -> tuple[signals.Signal, ...]:
-    return tuple(signal.at(corner) for corner in CORNERS)
-
-
-TYRE_MODES = tuple(signals.TYRE_DEFLECTION.at(mode) for mode in MODES)
-STATES = (
-    *_at_corners(signals.SUSPENSION_DEFLECTION),
-    *TYRE_MODES,
-    signals.HEAVE_VELOCITY,
-    signals.PITCH_RATE,
-    signals.ROLL_RATE,
-    *_at_corners(signals.UNSPRUNG_VELOCITY),
-)
-FORCES = _at_corners(signals.CONTROL_FORCE)
-ACCELERATIONS = (
-    signals.HEAVE_ACCELERATION,
-    signals.PITCH_ACCELERATION,
-    signals.ROLL_ACCELERATION,
-    *_at_corners(signals.SPRUNG_VELOCITY),
-    *_at_corners(signals.SPRUNG_ACCELERATION),
-)
-OUTPUTS = (*STATES, *_at_corners(signals.TYRE_DEFLECTION), *ACCELERATIONS, *FORCES)
-HEIGHTS = (
-    signals.HEAVE_DISPLACEMENT,
-    *_at_corners(signals.SPRUNG_DISPLACEMENT),
-    *_at_corners(signals.UNSPRUNG_DISPLACEMENT),
-)
-ON_DEMAND = (*_at_corners(signals.UNSPRUNG_ACCELERATION), *HEIGHTS)
-ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
-
-
 def _body(p: Parameters) -> RigidBody:
-    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, _side(side, p)) for axle in AXLES for side in SIDES)
+    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, lateral(side, p)) for axle in AXLES for side in SIDES)
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
     pitch_arm, roll_arm = links.arms(p)
@@ -108,24 +71,6 @@ def _body(p: Parameters) -> RigidBody:
     )
 
 
-def _side(side: str, p: Parameters) -> float:
-    return p["track"] / 2 if side == "left" else -p["track"] / 2
-
-
-def linear_model(p: Parameters) -> LinearModel:
-    """Returns the linear model for parameters [SI]: 14 states, 4 inputs [N], 4 road velocities [m/s], 37 output signals."""
-    return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
-
-
-def motion(p: Parameters) -> "Motion":
-    """Returns the exact equations of motion, which have every tyre's own deflection."""
-    from models.kinds.rigid_motion import rigid_motion
-
-    lengths = (*_at_corners(signals.SUSPENSION_DEFLECTION), *_at_corners(signals.TYRE_DEFLECTION))
-    rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
-    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)), (*ACCELERATIONS, *ON_DEMAND))
-
-
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
@@ -134,59 +79,19 @@ def check(p: Parameters) -> None:
     rigid_body.check_stands(_body(p))
 
 
-def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
-    return _body(p).static_tyre_deflection()
-
-
-def write_mjcf(spec: Any, p: Parameters) -> None:
-    """Writes the parameters into the MJCF."""
-    rigid_body.write_mjcf(spec, _body(p))
-
-
-def wheel_loads(p: Parameters) -> tuple[BodyLoad, ...]:
-    """Returns the loads on the wheels."""
-    return links.wheel_loads(p, CORNERS)
-
-
-def carried(p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
-    return links.carried(p, CORNERS, way, force, acceleration)
-
-
-def angles(p: Parameters) -> dict[str, dict[str, float]]:
-    """Returns the body's angles [rad] as sums of signals."""
-    return rigid_body.angles(_body(p))
-
-
-KIND = VehicleKind(
-    name="full_car",
-    parameters=PARAMETERS,
-    signals=(*_at_corners(signals.ROAD_DISPLACEMENT), *ROAD_VELOCITIES, *OUTPUTS),
-    wheels=tuple(
-        Wheel(
-            road_body=f"road_{corner}",
-            road_displacement=f"road_displacement_{corner}",
-            road_velocity=f"road_velocity_{corner}",
-            tyre_deflection=f"tyre_deflection_{corner}",
-            behind=rigid_body.wheelbase if corner.startswith("rear") else nowhere_else,
-            side=corner.split("_")[1],
-            lateral=partial(_side, corner.split("_")[1]),
-        )
-        for corner in CORNERS
-    ),
-    linear_model=linear_model,
-    static_tyre_deflection=static_tyre_deflection,
-    write_mjcf=write_mjcf,
-    check_together=check,
+TYRE_MODES = tuple(signals.TYRE_DEFLECTION.at(mode) for mode in MODES)
+KIND = Car(
+    _body,
+    CORNERS,
+    tyres=TYRE_MODES,
+    rates=(signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE),
+    accelerations=(signals.HEAVE_ACCELERATION, signals.PITCH_ACCELERATION, signals.ROLL_ACCELERATION),
+).kind(
+    "full_car",
+    PARAMETERS,
+    check,
     combined={
         mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}
         for mode, pattern in zip(TYRE_MODES, MODES.values(), strict=True)
     },
-    on_demand=ON_DEMAND,
-    loads=rigid_body.LOADS,
-    wheel_loads=wheel_loads,
-    carried=carried,
-    angles=angles,
-    motion=motion,
 )

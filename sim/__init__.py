@@ -37,16 +37,4 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from sim.studies.ride.run_metrics import RunMetrics, measure_run
     from sim.studies.stability.margin_search import find_margins
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "sim.recording.files": "record",
-            "sim.recording.run_records": "run_log",
-            "sim.response.response": "Response",
-            "sim.runs.by_name": "run",
-            "sim.runs.run": "Run sample_times",
-            "sim.studies.frequency.identification": "identify",
-            "sim.studies.ride.run_metrics": "RunMetrics measure_run",
-            "sim.studies.stability.margin_search": "find_margins",
-        },
-    )
+    __getattr__, __dir__, __all__ = attach(__name__, __file__)

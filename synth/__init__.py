@@ -62,32 +62,4 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.vehicle.designer import Designer, design_controllers
     from synth.vehicle.state_space import closed_loop, controller_from, from_state_space, law_system
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "synth.analysis.band_norm": "norm_in_band",
-            "synth.analysis.certificate": "certify",
-            "synth.analysis.norm": "hinf_norm",
-            "synth.analysis.sampled_loop": "HoldInterval SampledLoop",
-            "synth.analysis.sampled_norm": "sampled_norm",
-            "synth.controller.controller": "Controller",
-            "synth.design.descent.refine": "refine",
-            "synth.design.feedback": "FeedbackDesign design_feedback",
-            "synth.design.full_order.full_order": "full_order_design",
-            "synth.design.full_order.preview": "preview_design",
-            "synth.design.full_order.quadratic": "h2_design lqg_design lqr_design",
-            "synth.design.multi_model": "slack_design",
-            "synth.design.multi_objective.design": "multi_objective_design",
-            "synth.design.multi_objective.problem": (
-                "FamilyMember GainErrors MeasuredPlant MultiObjectiveProblem NormSpecification"
-            ),
-            "synth.design.static": "static_output_feedback",
-            "synth.design.two_step": "two_step_design",
-            "synth.design.uncertainty.worst_case": "worst_norm",
-            "synth.lmi.full_order_bound": "find_lower_bound",
-            "synth.plant.generalized": "Feedback GeneralizedPlant",
-            "synth.plant.numerics": "DesignError InfeasibleError",
-            "synth.vehicle.designer": "Designer design_controllers",
-            "synth.vehicle.state_space": "closed_loop controller_from from_state_space law_system",
-        },
-    )
+    __getattr__, __dir__, __all__ = attach(__name__, __file__)

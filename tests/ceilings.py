@@ -26,7 +26,7 @@ what all commands share: files, options, checks, tables of numbers   2329   1864
     tests/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
 vehicle file, types, equations, MJCF                           4914   1487    308
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
-    models/kinds/{__init__,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
+    models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-implementation,new,vehicles-that-ship,your-own-vehicle}.md

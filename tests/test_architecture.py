@@ -69,7 +69,7 @@ ROOMS = {
     "sim.runs sim.studies",
     "sim.gallery": "sim.studies",
     "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
-    "synth.design synth.vehicle sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+    "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
     "sim.margins": "models.figures models.suspension models.vehicle synth.controller synth.vehicle sim.command "
     "sim.linear sim.runs sim.studies",
     "sim.new": "",
@@ -87,15 +87,13 @@ MOST_FLOORS = {"models": 5, "synth": 6, "sim": 6}
 MOST_ARROWS = {"models": 14, "synth": 19, "sim": 36}
 MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 
-# What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none solves an LMI or searches
-# for a gain. (From Riccati equations, by SciPy, a log's LQR, LQG or H2 design is computed again.)
+# What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
 REACHES = {
     "synth.analysis": "models.common models.figures synth.plant",
     "synth.controller": "models.common models.figures models.kinds models.laws models.suspension models.vehicle "
     "synth.analysis synth.plant",
     "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
-    "synth.analysis synth.controller synth.design.full_order.preview synth.design.full_order.quadratic synth.plant "
-    "synth.vehicle.quadratic sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+    "synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
 }
 
 # Who may import what is heavy, or replaceable.

@@ -515,7 +515,7 @@ BAD_FILES = [
     ({"controllers": "[1]"}, "", "1 is not text in quotes"),
     ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
-    ({"speeds": '["fast"]'}, "", "speeds: 'fast' is not allowed"),
+    ({"speeds": '["fast"]'}, "", "speeds = 'fast' is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 makes no runs"),
     ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give a whole number"),
     ({"seeds": "[1, 1]"}, "", "seeds has one twice"),

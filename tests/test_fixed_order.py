@@ -325,7 +325,7 @@ def test_an_integral_that_nothing_moves_is_said():
 WRONG: tuple[tuple[str, str], ...] = (
     ("order = 300", "order = 300 is not known; known: full, static, or a number of states from 0 to 200"),
     ("order = true", "order = True is not known"),
-    ("pid = 3.0", "pid = 3.0 is no table"),
+    ("pid = 3.0", "pid = 3.0 is not a table"),
     ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd and no filter"),
     ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which is of the derivative alone"),
     ("pid = { k = 1.0 }", "pid unknown key 'k'; known: filter, kd, ki, kp"),

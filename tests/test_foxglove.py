@@ -18,10 +18,9 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
 from sim.recording.foxglove_layout import foxglove_layout
-from sim.recording.foxglove_scene import _arrows
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
-from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, rotation_matrix
+from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, arrows, rotation_matrix
 from sim.response.response import difference
 from tests.npm import installed
 from tests.test_recording import make_run
@@ -150,10 +149,7 @@ def test_arrow_lies_along_a_strut_that_leans(force: float) -> None:
     """Off the middle of a body that leans, it points from the wheel's end to the body's, or back where the force pulls."""
     bottom, top = np.array([1.2, -0.7, 0.3]), np.array([1.1, -0.6, 0.8])
     scene = Scene(np.zeros(1), (), {}, {"strut": np.array([[bottom, top]])}, forces={"strut": np.array([force])})
-    (arrow,) = _arrows(scene, 0, 1000.0)
-    turn = arrow.pose.orientation
-    direction = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([1.0, 0.0, 0.0])
-    vector = direction * (arrow.shaft_length + arrow.head_length)
+    _, ((vector,),) = zip(*arrows(scene, 1000.0).values(), strict=True)
     np.testing.assert_allclose(vector, LONGEST * force / 1000.0 * np.array([-0.1, 0.1, 0.5]) / math.sqrt(0.27), atol=1e-12)
 
 

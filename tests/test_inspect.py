@@ -25,7 +25,6 @@ from sim.inspect.__main__ import main
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from sim.margins import main as margins
-from sim.recording.run_log import RESULTS
 from sim.recording.run_records import record_runs
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
@@ -213,7 +212,7 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     runs = {}
     for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
         (runs[f"II_{name}"],) = run_controllers(vehicle, [controller], road, time)
-    result = dict.fromkeys(RESULTS["margins"]) | {"controller": "II"}
+    result = {"controller": "II"}
     path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)
     assert (code, broken(found)) == (0, set())
@@ -300,10 +299,10 @@ def attached(file: str, old: bytes, new: bytes) -> Callable[[Contents], Contents
 # A millionth of its peak, where a tyre has left the road and there is no analysis to compare with.
 ONE_SAMPLE = after("/mujoco", 200, scaled("/mujoco", 2, 1 + 2e-6))
 CHANGES = {
-    "a norm": (claim("norm", "7.843", "7.842"), ("certificate", "FAILS")),
+    "a norm": (claim("norm", "7.843", "7.842"), ("claims", "FAILS")),
     "a bound that its proof does not prove": (claim("certificate", '"bound": 7.87', '"bound": 7.83'), ("certificate", "FAILS")),
     "a gain": (claim("gain", "10825", "10826"), ("certificate", "FAILS")),
-    "a measurement": (claim("measured", "sprung_velocity", "tyre_deflection"), ("controller", "FAILS")),
+    "a measurement": (claim("measured", "sprung_velocity", "tyre_deflection"), ("claims", "FAILS")),
     "a road": (claim("road", '"height": 0.2', '"height": 0.21'), ("responses", "FAILS")),
     "a delay": (claim("implementation", '"delay": 0', '"delay": 3'), ("responses", "FAILS")),
     "agreement": (claim("agrees", "true", "false"), ("claims", "FAILS")),

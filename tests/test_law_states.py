@@ -16,8 +16,8 @@ from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from sim.recording.foxglove_layout import foxglove_layout
+from sim.recording.pages import MOST_ACTIVE
 from sim.recording.rerun_writer import _comparison, _page
-from sim.recording.run_log import MOST_ACTIVE
 from sim.recording.run_records import run_log
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import Controller
@@ -138,7 +138,7 @@ def test_viewers_show_those_that_ask_for_most(count):
     assert isinstance(run.controller, Controller)
     asks = {f"{KEPT}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{KEPT}{i + 1}") for i in range(count)}
     most = sorted(asks, key=lambda name: -asks[name])[:MOST_ACTIVE]
-    shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page(logged))]
+    shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page(logged, "#000000"))]
     assert {name for name in shown if name.startswith(KEPT)} == set(most)
     assert not any(name.startswith("controller ") for name in plots(_comparison([logged, other]))), "each has its own"
 

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Collection
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -14,9 +13,6 @@ from models.common.errors import InputError
 from models.laws.combinations import KINDS, PREVIEW, QUADRATIC, goes, refusal
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.bump import main as bump
-from sim.inspect.__main__ import main as inspect
-from sim.inspect.claims import check_design
 from sim.runs.run import run_controllers, sample_times
 from synth.__main__ import main
 from synth.command.check import check
@@ -25,7 +21,6 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.trade_off.front import entry_of
 from tests.commands import attacks, refused
 from tests.pages import site
-from tests.rewriting import contents, written
 from tests.shared import designed
 
 ROOT = Path(__file__).parents[1]
@@ -145,41 +140,6 @@ def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
     assert ("intensity one, and what is measured has its noise" in words) == ("lqg" in kind)
     assert ("intensity one, and the noise in what is measured as w counts it" in words) == ("h2" in kind)
     assert main(["--check", str(saved)]) == 0
-
-
-@pytest.mark.parametrize("kind", ["lqg", *attacks(("lqr", "h2"))])
-def test_a_log_is_of_the_design_that_its_vehicle_file_asks_for(kind, tmp_path, capsys):
-    """LQR, LQG and H2 follow from the file alone: inspect makes them anew, and finds another law out."""
-    states = read_vehicle("quarter_car").linear_model.states
-    noise = ", ".join(f"{name} = 5.0" for name in states)  # loud, so that LQG and H2 have little in common
-    said = f"[implementation]\nsample_period = 0.002\nnoise = {{ {noise} }}\n"
-    said += f'[controllers.best]\nmeasured = {json.dumps(states)}\ndesign = "{kind}"\n'
-    path = tmp_path / "car.toml"
-    path.write_text(f"{read_vehicle('quarter_car').text}\n{said}")
-    options = ["--vehicle", str(path), "--controller", "best", "--duration", "0.1", "--timestep", "2e-3"]
-    bump([*options, "--logs", str(tmp_path / "logs")])
-    (log,) = (tmp_path / "logs").glob("*.mcap")
-    driven = contents(log)
-    for asked in ("lqr", "lqg", "h2"):
-        was, now = f'design = "{kind}"'.encode(), f'design = "{asked}"'.encode()
-        log.write_bytes(written(driven.with_attachment("vehicle.toml", lambda text, pair=(was, now): text.replace(*pair))))
-        capsys.readouterr()
-        assert inspect([str(log), "--json"]) == (0 if kind == asked else 1)
-        (run,) = json.loads(capsys.readouterr().out)["runs"]
-        (found,) = [one for one in run["findings"] if one["part"] == "design"]
-        assert found["verdict"] == ("holds" if kind == asked else "FAILS")
-        assert f'design = "{asked}" of vehicle.toml' in found["text"]
-
-
-@pytest.mark.parametrize(("change", "verdict"), [(0.0, "holds"), (1e-4, "note"), (-1.0, "FAILS")])
-def test_what_was_assumed_may_be_another_elsewhere(change, verdict):
-    """If a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
-    vehicle = with_designs("quarter_car")
-    controller = Designer(vehicle).design("h2")
-    assert "was assumed" in " ".join(controller.remarks)
-    other = replace(controller, law=controller.law.scaled(1 + change))
-    (found,) = check_design(vehicle, other)
-    assert found.verdict == verdict
 
 
 SECTIONS = {

@@ -11,19 +11,8 @@ import rerun.blueprint as rrb
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road
 from models.vehicle.vehicle import read_vehicle
-from sim.recording.rerun_writer import (
-    FURTHEST,
-    LABELS,
-    MARGIN,
-    SEEN,
-    _comparison,
-    _page,
-    count,
-    labelled,
-    spacing,
-    value_axis,
-    write_rrd,
-)
+from sim.recording.pages import SEEN
+from sim.recording.rerun_writer import _comparison, _page, extremes_text, value_axis, write_rrd
 from sim.recording.run_log import RunLog
 from sim.recording.run_records import run_log
 from sim.recording.scene import LIFTED, LONGEST, ROAD
@@ -33,6 +22,7 @@ from synth.vehicle.designer import Designer
 from tests.commands import attacks
 from tests.test_recording import make_run
 
+BLACK = "#000000"
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
 
 
@@ -164,25 +154,11 @@ def test_several_controllers_are_side_by_side(tmp_path: Path) -> None:
     assert "- **I** agrees until 0.1 s (lift-off); first: tyre leaves the road, 0.05 s\n" in table  # as its verdict has it
 
 
-def test_what_lies_on_another_curve_is_shown_when_asked(lifting: RunLog) -> None:
-    """Curves that are another run's to a pixel are hidden at first, but the first of them; those of other times are not."""
-    from sim.recording.rerun_writer import doubles
-
-    physics = lifting.responses["mujoco"]
-
-    def moved(name: str, factor: float) -> RunLog:
-        return replace(lifting, name=name, responses={"mujoco": replace(physics, values=physics.values * factor)})
-
-    short = replace(lifting, name="short", responses={"mujoco": physics.until(0.1)})
-    assert doubles([lifting, moved("printed", 1 + 1e-4), moved("other", 1.1), moved("again", 1.1), short]) == {"printed", "again"}
-    assert doubles([make_run("I"), make_run("II")]) == set()  # not a number anywhere is not the same
-
-
 def test_few_plots_to_a_page(lifting: RunLog) -> None:
     """One run, or several compared, have at most six plots at once, as many on one page as on another; each signal has one."""
     names = lifting.responses["mujoco"].names
     many = replace(lifting, responses={"mujoco": _with_signals(lifting.responses["mujoco"], 4)})
-    for page in (_page(lifting), _page(many), _comparison([lifting, replace(lifting, name="other")])):
+    for page in (_page(lifting, BLACK), _page(many, BLACK), _comparison([lifting, replace(lifting, name="other")])):
         grids = [each for each in _parts(page) if type(each).__name__ == "Grid" and _plots(each)]
         counts = [len(_plots(grid)) for grid in grids]
         assert max(counts) <= SEEN
@@ -192,27 +168,46 @@ def test_few_plots_to_a_page(lifting: RunLog) -> None:
         assert {title.rstrip("0123") for title in titles} == set(names)
 
 
-def test_axes_of_any_values_have_numbers() -> None:
-    """Whatever a curve does, its axis shows all of it and has two labels, or only its margins; it is never much longer."""
-    random = np.random.default_rng(1)
-    offsets = np.where(random.random(3000) < 0.3, 0.0, random.standard_normal(3000) * 10.0 ** random.uniform(-3, 9, 3000))
-    spans = 10.0 ** random.uniform(-12, 150, 3000)
-    spans[:100] = 0.0
-    for low, span in zip(offsets, spans, strict=True):
-        if 0 < span < 1e-9 * abs(low):
-            continue  # labels that differ by rounding alone tell nothing
-        high = low + span
-        bottom, top = labelled(low, high)
-        assert bottom < low
-        assert high < top
-        length = span or 2 * (abs(low) or 1.0)
-        tight = length * (1 + 2 * MARGIN)
-        # A step's multiples are rounded to 16 digits of numbers 1e9 times as large.
-        assert count(bottom, top, spacing(top - bottom)) >= LABELS or top - bottom == pytest.approx(tight, rel=1e-6)
-        assert top - bottom <= FURTHEST * tight * (1 + 1e-6)
-    assert labelled(1.0, 1.0 + 1e-15) == pytest.approx(labelled(1.0, 1.0))  # constant but for rounding
-    assert value_axis([np.full(5, np.nan)]) is None
+def test_every_plot_shows_its_curves_whole(lifting: RunLog) -> None:
+    """The axis of every plot reaches beyond the least and the greatest value of its curves, or both sides of a constant."""
+    for page in (_page(lifting, BLACK), _comparison([lifting, replace(lifting, name="other")])):
+        plots = [each for each in _parts(page) if isinstance(each, rrb.TimeSeriesView)]
+        for plot in plots:
+            low, high = _range(plot)
+            name = str(plot.name).split("   ")[0].replace(" ", "_")
+            if name in lifting.responses["mujoco"].names:
+                curve = lifting.responses["mujoco"][name]
+                assert low < curve.min()
+                assert curve.max() < high
+            else:
+                assert name.startswith("difference")
+        assert len(plots) >= len(lifting.responses["mujoco"].signals)
+
+
+def test_a_plot_says_how_far_its_curves_go(lifting: RunLog) -> None:
+    """Beside its signal's name and unit a plot has the least and the greatest value of what it shows."""
+    physics = lifting.responses["mujoco"]
+    (name,) = {
+        str(plot.name)
+        for each in _parts(_comparison([lifting, replace(lifting, name="other")]))
+        for plot in (_plots(each) if type(each).__name__ == "Grid" else [])
+        if str(plot.name).startswith("tyre deflection")
+    }
+    low, high = float(np.nanmin(physics["tyre_deflection"])), float(np.nanmax(physics["tyre_deflection"]))
+    assert name == f"tyre deflection   z_u - z_r [m]   {low:.3g} to {high:.3g}"
+    assert extremes_text([np.zeros(3), np.full(2, np.nan)]) == "0"
+    assert extremes_text([np.full(2, np.nan)]) == ""
+
+
+def test_an_axis_of_no_numbers_is_left_to_rerun() -> None:
+    """A signal that is nowhere finite has no range, and does not spoil that of others."""
+    nothing = np.full(5, np.nan)
+    assert value_axis([nothing]) is None
     assert value_axis([np.array([-1e308, 7e307])]) is None  # the range is finite, but not with its margins
+    (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([nothing, np.array([0.0, 3.0, np.inf])])))
+    assert low < 0 < 3 < high < 4
+    (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([np.full(3, 2.0)])))
+    assert low < 2 < high
 
 
 def _with_signals(response: Response, times: int) -> Response:

@@ -107,7 +107,7 @@ ADDED = {
         ("seed = 1.5", "seed = 1.5", "whole number"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
         ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
-        ("noise = 1.0", "noise is not a table"),
+        ("noise = 1.0", "noise = 1.0 is not a table"),
     ],
     ("quarter_car_semi_active", VELOCITY): [
         ("mix = 0.5", "mix is of a semi-active law; give one"),

@@ -189,21 +189,18 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
 
 
 def chosen_of(
-    vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = (), partly: bool = False
+    vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = ()
 ) -> dict[str, list[str]]:
     """Returns the controllers that `--controller` selects of several vehicles; each has those of its own.
 
     Args:
         vehicles: all controllers of each vehicle, by a key of the vehicle.
         given, usual: as for `chosen`.
-        partly: True if further vehicles, which are not known, may have the other controllers.
 
     Raises:
         InputError: as for `chosen`, or a vehicle has none of the controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
-    if partly and given is not None:
-        given = [name for name in given if name in (ALL, *known)]
     every = chosen(known, given, usual)
     selected = {key: [name for name in every if name in names] for key, names in vehicles.items()}
     for key, names in vehicles.items():

@@ -2,7 +2,8 @@
 
 import difflib
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 TRACEBACK = "--traceback"  # option of every command
@@ -18,6 +19,15 @@ class InputError(ValueError):
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(str(message)))
+
+
+@contextmanager
+def error_in(where: str) -> Iterator[None]:
+    """Puts a place before the message of an InputError from a block."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
 
 
 def one_line(message: str) -> str:

@@ -4,29 +4,29 @@ A function that is called by its public name checks its arguments first (`models
 use these names.
 """
 
+import ast
 import importlib
 import sys
 import types
+from pathlib import Path
 
 TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from typing import Any
 
 
-def attach(package: str, modules: "Mapping[str, str]") -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
-    """Returns `__getattr__`, `__dir__` and `__all__` of a package.
-
-    Args:
-        modules: public names of each module, by its full name; "" if the module itself is public.
-    """
-    where = {name: module for module, names in modules.items() for name in names.split() or [module.rpartition(".")[2]]}
+def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
+    """Returns `__getattr__`, `__dir__` and `__all__` of a package: the imports that its file has for type checkers."""
+    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
+    imports = [node for one in tree.body if isinstance(one, ast.If) for node in one.body if isinstance(node, ast.ImportFrom)]
+    where = {alias.name: node.module or "" for node in imports for alias in node.names}
 
     def get(name: str) -> "Any":
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(where[name])
-        value = getattr(module, name) if modules[where[name]] else module
+        value = getattr(module, name, None) or importlib.import_module(f"{where[name]}.{name}")
         if isinstance(value, types.FunctionType):
             from models.common.checks import at_the_door
 

@@ -286,12 +286,11 @@ def legend(figure: Figure) -> list[Entry]:
     return list(entries.values())
 
 
-def kept_points(x: Array, y: Array, tolerance: float = TOLERANCE) -> Array:
+def kept_points(x: Array, y: Array) -> Array:
     """Returns the indices of the points that a line needs, after D. H. Douglas and T. K. Peucker (1973).
 
     Args:
         x, y: shape (N,); NaN interrupts the line, and both its neighbours are kept.
-        tolerance: largest distance of a dropped point from the simplified line.
     """
     known = np.isfinite(x) & np.isfinite(y)
     kept = ~known
@@ -312,7 +311,7 @@ def kept_points(x: Array, y: Array, tolerance: float = TOLERANCE) -> Array:
         away = np.where(closed[span], np.hypot(across, down), away)
         most = np.maximum.reduceat(away, starts)
         reached = np.flatnonzero(away == most[span])
-        split = most > tolerance
+        split = most > TOLERANCE
         middle = at[reached[np.searchsorted(reached, starts)]][split]
         kept[middle] = True
         first, last = np.concatenate([first[split], middle]), np.concatenate([middle, last[split]])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.checks import NotNegative, Positive, check
-from models.common.errors import InputError, first_few, listing
+from models.common.errors import InputError, error_in, first_few, listing
 from models.common.files import read_text
 from models.kinds.kind import VehicleKind
 from models.kinds.linear_model import LinearModel
@@ -167,10 +167,7 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
         kind,
         wheels=tuple(part(wheel, f"the wheel at {wheel.road_body!r}", "behind", "lateral") for wheel in kind.wheels),
         invariants=tuple(part(one, f"the invariant {one.name!r}", "omega", "magnitude") for one in kind.invariants),
-        **{
-            name: guarded(name, getattr(kind, name))
-            for name in ("linear_model", "static_tyre_deflection", "angles", "write_mjcf")
-        },
+        **{name: guarded(name, getattr(kind, name)) for name in EQUATIONS},
     )
     refuse = guarded("check_together", kind.check_together, refuses=True)
 
@@ -184,7 +181,5 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 @contextmanager
 def _located(path: Path) -> Iterator[None]:
     """Adds the file's name to an InputError."""
-    try:
+    with error_in(f"kind of vehicle {path}:"):
         yield
-    except InputError as error:
-        raise InputError(f"kind of vehicle {path}: {error}") from error

@@ -26,7 +26,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
@@ -180,10 +180,8 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
     for key in POLYNOMIALS:
         if not isinstance(given[key], list):
             raise InputError(f"{where} {key} = {quoted(given[key])} is no list; give its coefficients by falling powers of s")
-    try:
+    with error_in(f"{where}:"):
         return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
 
 
 def _known() -> str:

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from models.common.checks import check_keys, is_finite, number_within
+from models.common.checks import check_keys, is_finite, number_within, table_within
 from models.common.errors import InputError, listing, quoted
 
 EVERYWHERE = (0.0, float("inf"))
@@ -241,10 +241,7 @@ def read_goals(
 
 
 def _minimise(where: str, value: Any, outputs: Collection[str]) -> tuple[NormOf, str]:
-    if not isinstance(value, dict):
-        raise InputError(
-            f"{where} minimise = {quoted(value)} is no table; give one, as in minimise = {{ band = [4.0, 8.0] }}, Hz"
-        )
+    table_within(f"{where} minimise", value, "one, as in minimise = { band = [4.0, 8.0] }, Hz")
     check_keys(f"{where} minimise", value, ("signals", "band", "over"))
     over = value.get("over", WORST)
     if over not in (WORST, REGRET):
@@ -324,11 +321,8 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
 
 
 def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence[str]) -> dict[str, float]:
-    if not isinstance(value, dict):
-        raise InputError(
-            f"{where} tolerance = {quoted(value)} is no table; give how far each sensor may be off, relative, as in "
-            f"tolerance = {{ {measured[0]} = 0.1 }}"
-        )
+    give = f"how far each sensor may be off, relative, as in tolerance = {{ {measured[0]} = 0.1 }}"
+    table_within(f"{where} tolerance", value, give)
     allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
     for name, share in value.items():
         if name not in allowed:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, is_finite, number_within
+from models.common.checks import check_keys, is_finite, number_within, table_within
 from models.common.errors import InputError, quoted
 from models.laws.combinations import PI, PID, is_order
 from models.laws.goals import CORNER, read_structure
@@ -101,9 +101,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     Raises:
         InputError: a number is missing or not allowed, or there is not one signal for each force.
     """
-    table = entry["pid"]
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where} pid = {quoted(table)} is no table; give one, as in {EXAMPLE}")
+    table = table_within(f"{where} pid", entry["pid"], f"one, as in {EXAMPLE}")
     if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
         raise InputError(f"{where} pid with {beside[0]}: a controller has one law; leave one of them out")
     rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
@@ -184,9 +182,7 @@ def _one_each(where: str, written: str, measured: Sequence[str], corners: Mappin
 
 def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
     """Returns the time constant of the derivative of a law that is designed [s]; 0 for PI."""
-    table = entry.get("pid", {})
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where} pid = {quoted(table)} is no table; give one, as in pid = {{ filter = 0.01 }}")
+    table = table_within(f"{where} pid", entry.get("pid", {}), "one, as in pid = { filter = 0.01 }")
     if given := [name for name in GAINS if name in table]:
         raise InputError(
             f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; leave structure out for a law of given '

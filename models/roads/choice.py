@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.load import Load
@@ -121,31 +121,25 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
-        try:
+        with error_in(f"road {text!r}: an OpenCRG file says its own units and joins its own points;"):
             given = settings(file["settings"], DRIVEN[:1])
-        except InputError as error:
-            raise InputError(f"road {text!r}: an OpenCRG file says its own units and joins its own points; {error}") from error
         return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:
         from models.roads.profile_file import read_profile
 
-        try:
+        with error_in(f"road {text!r}:"):
             given = settings(file["settings"], (*TABLE, *DRIVEN))
             join = given.get("join", JOINS[0])
             if join not in JOINS:
                 raise InputError(f"join = {join!r} is unknown; give one of {listing(JOINS)}")
-        except InputError as error:
-            raise InputError(f"road {text!r}: {error}") from error
         profile = replace(read_profile(folder / file["path"], 20.0, given), join=join)
         return RoadChoice(text, "profile", {}, _begun(text, given, profile))
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
-    try:
+    with error_in(f"road {text!r}:"):
         given = settings(colon + rest, allowed)
-    except InputError as error:
-        raise InputError(f"road {text!r}: {error}") from error
     values: dict[str, Any] = {
         name: value if isinstance(allowed[name], str) else setting(f"road {text!r}: {name}", value, UNITS.get(name, "m"))
         for name, value in given.items()
@@ -161,10 +155,8 @@ def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
     """Returns a road from the distance on that its settings give, or the whole of it."""
     if "from" not in given:
         return road
-    try:
+    with error_in(f"road {text!r}:"):
         return road.begun_at(setting("from", given["from"], "m"))
-    except InputError as error:
-        raise InputError(f"road {text!r}: {error}") from error
 
 
 def _unread(text: str, folder: Path) -> str:

@@ -92,7 +92,12 @@ class Ramped(Load):
     """
 
     kind: ClassVar[str]
+    size: ClassVar[str]  # name of the field that a factor on the load multiplies
     limits: ClassVar[Mapping[str, tuple[float, float]]]
+
+    def scaled(self, factor: float) -> Self:
+        """Returns the load larger or smaller."""
+        return replace(self, **{self.size: getattr(self, self.size) * factor})
 
     @property
     def _history(self) -> tuple[float, float, float]:
@@ -160,6 +165,7 @@ class _Inertial(Ramped):
     """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
 
     way: ClassVar[str]
+    size: ClassVar[str] = "g"
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
     g: float
 
@@ -175,10 +181,6 @@ class _Inertial(Ramped):
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
         """Returns the force of the body's mass, and the acceleration."""
         return self.way, p["sprung_mass"] * GRAVITY * self.g, GRAVITY * self.g
-
-    def scaled(self, factor: float) -> Self:
-        """Returns the load harder or softer."""
-        return replace(self, g=self.g * factor)
 
 
 @dataclass(frozen=True)
@@ -240,6 +242,7 @@ class Payload(_Placed):
     """
 
     kind: ClassVar[str] = "payload"
+    size: ClassVar[str] = "mass"
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"mass": (-1e5, 1e5), "x": PLACE, "y": PLACE}
     mass: float = 100.0
     x: float = 0.0
@@ -252,10 +255,6 @@ class Payload(_Placed):
         """Returns a force down, and its moments."""
         return _pushed(-self.mass * GRAVITY, self.x, self.y)
 
-    def scaled(self, factor: float) -> "Payload":
-        """Returns the payload heavier or lighter."""
-        return replace(self, mass=self.mass * factor)
-
 
 @dataclass(frozen=True)
 class Lift(_Placed):
@@ -267,6 +266,7 @@ class Lift(_Placed):
     """
 
     kind: ClassVar[str] = "lift"
+    size: ClassVar[str] = "force"
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "x": PLACE, "y": PLACE}
     force: float = 500.0
     x: float = 0.0
@@ -279,10 +279,6 @@ class Lift(_Placed):
         """Returns a force up, and its moments."""
         return _pushed(self.force, self.x, self.y)
 
-    def scaled(self, factor: float) -> "Lift":
-        """Returns the lift stronger or weaker."""
-        return replace(self, force=self.force * factor)
-
 
 @dataclass(frozen=True)
 class Gust(Ramped):
@@ -294,6 +290,7 @@ class Gust(Ramped):
     """
 
     kind: ClassVar[str] = "gust"
+    size: ClassVar[str] = "force"
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "height": (0.0, 20.0)}
     force: float = 1000.0
     height: float = 0.8
@@ -313,10 +310,6 @@ class Gust(Ramped):
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
         """Returns the force of the wind, which does not push the wheels."""
         return ROLL, self.force, 0.0
-
-    def scaled(self, factor: float) -> "Gust":
-        """Returns the gust stronger or weaker."""
-        return replace(self, force=self.force * factor)
 
 
 LOADS: Mapping[str, type[Ramped]] = {load.kind: load for load in (Brake, Cornering, Payload, Lift, Gust)}

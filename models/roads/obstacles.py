@@ -1,21 +1,22 @@
 """Single obstacles, roads of one formula each; and the table of all roads that are given by name and numbers."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError
-from models.roads.road import LIMITS, Bump, Road, ScaledRoad, check_numbers
+from models.roads.road import LIMITS, Bump, Obstacle, Road, ScaledRoad, check_numbers
 from models.roads.sinusoids import START, Sine, SineSweep
 
 AT_ONCE = 1e-9  # s: rounding of a time at a vertical edge
 
 
 @dataclass(frozen=True)
-class WattsHump(Road):
+class WattsHump(Obstacle):
     """Speed hump of Watts: a circular arc. Its slope jumps at both ends.
 
     G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597: 3.7 m long, 25 to 100 mm high.
@@ -29,6 +30,7 @@ class WattsHump(Road):
         InputError: a number beyond `LIMITS`; an arc of more than half a circle.
     """
 
+    kind: ClassVar[str] = "watts_hump"
     height: float = 0.1
     length: float = 3.7
     speed: float = 8.0
@@ -63,10 +65,6 @@ class WattsHump(Road):
         """Both ends."""
         return (0.0, self.duration)
 
-    def describe(self) -> dict[str, float | str]:
-        """Height, length, speed."""
-        return {"type": "watts_hump", **asdict(self)}
-
     def scaled(self, factor: float) -> Road:
         """Returns the same shape, higher or lower."""
         return ScaledRoad(self, factor)
@@ -77,7 +75,7 @@ class WattsHump(Road):
 
 
 @dataclass(frozen=True)
-class Step(Road):
+class Step(Obstacle):
     """Kerb, up or down, rounded: half a period of a cosine; or vertical, which no tyre follows but formulas do.
 
     A vertical edge is a jump of the height: an impulse of its velocity in the linear response, between two samples in MuJoCo.
@@ -92,6 +90,7 @@ class Step(Road):
         InputError: a number beyond its limits.
     """
 
+    kind: ClassVar[str] = "step"
     height: float = 0.05
     edge: float = 0.2
     speed: float = 8.0
@@ -138,13 +137,9 @@ class Step(Road):
         """Height, edge, speed, and the start unless it is 0."""
         return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
-    def scaled(self, factor: float) -> "Step":
-        """Returns the step higher or lower."""
-        return replace(self, height=self.height * factor)
-
 
 @dataclass(frozen=True)
-class Pothole(Road):
+class Pothole(Obstacle):
     """Step down, and another one up again, under one side or both.
 
     Attributes:
@@ -158,6 +153,8 @@ class Pothole(Road):
         InputError: a number beyond its limits; edges longer than the pothole.
     """
 
+    kind: ClassVar[str] = "pothole"
+    tall: ClassVar[tuple[str, ...]] = ("depth",)
     depth: float = 0.05
     length: float = 1.0
     edge: float = 0.2
@@ -190,14 +187,6 @@ class Pothole(Road):
         edge = self.edge / self.speed
         return (0.0, edge, self.duration - edge, self.duration)
 
-    def describe(self) -> dict[str, float | str]:
-        """Depth, length, edge, speed, track."""
-        return {"type": "pothole", **asdict(self)}
-
-    def scaled(self, factor: float) -> "Pothole":
-        """Returns the pothole deeper or shallower."""
-        return replace(self, depth=self.depth * factor)
-
     @property
     def _edges(self) -> tuple[Step, Step]:
         return Step(-self.depth, self.edge, self.speed), Step(self.depth, self.edge, self.speed)
@@ -207,7 +196,7 @@ class Pothole(Road):
 
 
 @dataclass(frozen=True)
-class Flat(Road):
+class Flat(Obstacle):
     """Flat road, for a vehicle that is excited by loads alone.
 
     Attributes:
@@ -217,6 +206,8 @@ class Flat(Road):
         InputError: a number beyond its limits.
     """
 
+    kind: ClassVar[str] = "flat"
+    tall: ClassVar[tuple[str, ...]] = ()
     speed: float = 20.0
 
     def __post_init__(self) -> None:
@@ -235,14 +226,6 @@ class Flat(Road):
         """Empty."""
         return ()
 
-    def describe(self) -> dict[str, float | str]:
-        """Returns the speed."""
-        return {"type": "flat", **asdict(self)}
-
-    def scaled(self, factor: float) -> "Flat":
-        """Returns the road itself."""
-        return self
-
 
 def _check_length(road: WattsHump | Pothole, kind: str, other: str, least: str) -> None:
     """Refuses a length below twice another number that has its default, and so is not what was given."""
@@ -253,12 +236,4 @@ def _check_length(road: WattsHump | Pothole, kind: str, other: str, least: str) 
 
 
 # By their names on a command line, in a campaign file or in a log.
-OBSTACLES: Mapping[str, type] = {
-    "bump": Bump,
-    "watts_hump": WattsHump,
-    "step": Step,
-    "pothole": Pothole,
-    "sweep": SineSweep,
-    "flat": Flat,
-    "sine": Sine,
-}
+OBSTACLES: Mapping[str, type] = {one.kind: one for one in (Bump, WattsHump, Step, Pothole, SineSweep, Flat, Sine)}

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
@@ -187,7 +187,23 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
 
 
 @dataclass(frozen=True)
-class Bump(Road):
+class Obstacle(Road):
+    """Road that a few numbers describe: its fields."""
+
+    kind: ClassVar[str]
+    tall: ClassVar[tuple[str, ...]] = ("height",)  # fields that a factor on its heights multiplies
+
+    def describe(self) -> dict[str, float | str]:
+        """Returns its kind under `type`, and its fields."""
+        return {"type": self.kind, **asdict(self)}
+
+    def scaled(self, factor: float) -> Road:
+        """Returns the road higher or lower."""
+        return replace(self, **{name: getattr(self, name) * factor for name in self.tall})
+
+
+@dataclass(frozen=True)
+class Bump(Obstacle):
     """Isolated bump (61): one period of a cosine. Defaults are the paper's (62).
 
     Attributes:
@@ -200,6 +216,7 @@ class Bump(Road):
         InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
     """
 
+    kind: ClassVar[str] = "bump"
     height: float = BUMP_HEIGHT
     length: float = BUMP_LENGTH
     speed: float = BUMP_SPEED
@@ -227,14 +244,6 @@ class Bump(Road):
     def kinks(self) -> tuple[float, ...]:
         """Both ends."""
         return (0.0, self.duration)
-
-    def describe(self) -> dict[str, float | str]:
-        """Height, length, speed, track."""
-        return {"type": "bump", **asdict(self)}
-
-    def scaled(self, factor: float) -> "Bump":
-        """Returns the bump higher or lower."""
-        return replace(self, height=self.height * factor)
 
     def _on(self, t: Array, side: str) -> Array:
         return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))

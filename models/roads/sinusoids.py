@@ -1,13 +1,13 @@
 """Roads of sinusoids: sums, a single one, one for the worst case, and a sweep with rising frequency."""
 
 import math
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import LIMITS, Road, check_numbers
+from models.roads.road import LIMITS, Obstacle, Road, check_numbers
 
 START = (0.0, 1e4)  # s, when a road may begin
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
@@ -117,7 +117,7 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 
 @dataclass(frozen=True)
-class Sine(Road):
+class Sine(Obstacle):
     """Sine that begins at any phase, at its own height there; before, the road is flat.
 
         z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
@@ -133,6 +133,8 @@ class Sine(Road):
         InputError: a number beyond its limits.
     """
 
+    kind: ClassVar[str] = "sine"
+    tall: ClassVar[tuple[str, ...]] = ("amplitude",)
     amplitude: float = 0.02
     frequency: float = 1.0
     phase: float = 0.0
@@ -157,20 +159,12 @@ class Sine(Road):
         """The beginning."""
         return (self.start,)
 
-    def describe(self) -> dict[str, float | str]:
-        """Amplitude, frequency, phase, speed, start."""
-        return {"type": "sine", **asdict(self)}
-
-    def scaled(self, factor: float) -> "Sine":
-        """Returns the sine higher or lower."""
-        return replace(self, amplitude=self.amplitude * factor)
-
     def _angle(self, t: Array) -> Array:
         return 2 * np.pi * self.frequency * (np.asarray(t) - self.start) + math.radians(self.phase)
 
 
 @dataclass(frozen=True)
-class SineSweep(Road):
+class SineSweep(Obstacle):
     """Sine whose frequency f rises by the same factor every second, and whose height falls as 1/f.
 
         z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
@@ -187,6 +181,8 @@ class SineSweep(Road):
         InputError: a number beyond its limits.
     """
 
+    kind: ClassVar[str] = "sweep"
+    tall: ClassVar[tuple[str, ...]] = ("amplitude",)
     amplitude: float = 0.02
     lowest: float = 0.5
     highest: float = 25.0
@@ -213,14 +209,6 @@ class SineSweep(Road):
     def kinks(self) -> tuple[float, ...]:
         """Both ends."""
         return (0.0, self.duration)
-
-    def describe(self) -> dict[str, float | str]:
-        """Amplitude, lowest, highest, duration, speed."""
-        return {"type": "sweep", **asdict(self)}
-
-    def scaled(self, factor: float) -> "SineSweep":
-        """Returns the sweep higher or lower."""
-        return replace(self, amplitude=self.amplitude * factor)
 
     @property
     def _rate(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension.curve import ForceCurve
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
@@ -115,10 +115,8 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
             raise InputError(
                 f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
-        try:
+        with error_in(f"[curves] {name}:"):
             curves[name] = curve_of(entry, parameters[name])
-        except InputError as error:
-            raise InputError(f"[curves] {name}: {error}") from error
     return curves
 
 

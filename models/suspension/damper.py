@@ -31,7 +31,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_keys, number_within
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
@@ -235,11 +235,7 @@ def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
         return None
     curves = []
     for name in tables:
-        try:
+        with error_in(f"{where} {name}:"):
             curves.append(curve_of(given[name], VELOCITY))
-        except InputError as error:
-            raise InputError(f"{where} {name}: {error}") from error
-    try:
+    with error_in(f"{where}:"):
         return pair_of(*curves)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import is_finite
-from models.common.errors import InputError, alike, listing, quoted
+from models.common.checks import flag_within, is_finite
+from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number
 from models.kinds.linear_model import LinearModel
@@ -170,10 +170,8 @@ class ControllerEntry:
         if self.semi_active is not None:
             return SemiActive(self.name, self.semi_active)
         assert self.python is not None, "any other law is linear"
-        try:
+        with error_in(f"controller {self.name!r}:"):
             return Programmed(self.name, self.measured, self.python, self.python.source())
-        except InputError as error:
-            raise InputError(f"controller {self.name!r}: {error}") from error
 
 
 def read_controllers(
@@ -211,7 +209,7 @@ def read_controllers(
         errors = weighted_errors_of(f"[controllers.{name}]", weights, controller.parts, controller.measured, model.inputs, others)
         controller = replace(controller, errors=errors)
         usual = sampled and goes("sampled", controller.parts)
-        for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
+        for_samples = read_sampled(f"[controllers.{name}]", entry, usual, implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)
     return controllers
 
@@ -303,13 +301,13 @@ def _controller(
     hardware = _hardware(where, entry, measured, takes_out, model.inputs, limits, implementation)
     hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
     law = None if python else pid or _law(where, entry, model, measured)
-    stable, clipped = _stable(where, entry), bool(dampers) or limits.actuator_force is not None
+    clipped = bool(dampers) or limits.actuator_force is not None
     anti_windup = _anti_windup(where, entry, law, clipped)
     law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
     claims = entry.get("certificate")
     rest = {
-        "stable": stable,
-        "fastest_pole": _fastest_pole(where, entry),
+        "stable": flag_within(where, entry, "stable"),
+        "fastest_pole": _rate(where, entry, Parameter("fastest_pole", "rad/s", "of the loop", largest=FASTEST_LIMIT)),
         "anti_windup": anti_windup,
         "structure": structure,
         "preview": _preview(where, entry, dampers),
@@ -344,10 +342,7 @@ def _hardware(
     implementation: Implementation,
 ) -> DesignConditions:
     """Returns sensor noise and actuator lag that a controller is designed for."""
-    flags = {key: entry.get(key, False) for key in ("noise", "lag")}
-    for key, value in flags.items():
-        if not isinstance(value, bool):
-            raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false: how much stands elsewhere")
+    flags = {key: flag_within(where, entry, key, more=": how much is in another section") for key in ("noise", "lag")}
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if flags["noise"] else ()
     if flags["noise"] and not any(noise):
         raise InputError(
@@ -376,22 +371,10 @@ def _design(where: str, entry: Mapping[str, Any]) -> str:
     return FULL if entry.get("order") == FULL else entry.get("design", "")
 
 
-def _stable(where: str, entry: Mapping[str, Any]) -> bool:
-    """Returns True if a law is to be designed that is stable by itself."""
-    stable = entry.get("stable", False)
-    if not isinstance(stable, bool):
-        raise InputError(f"{where} stable = {quoted(stable)} is not allowed; give true or false")
-    return stable
-
-
-def _fastest_pole(where: str, entry: Mapping[str, Any]) -> float | None:
-    """Returns the largest magnitude of a loop's poles [rad/s], or None without a limit."""
-    if "fastest_pole" not in entry:
-        return None
-    try:
-        return Parameter("fastest_pole", "rad/s", "of the loop", largest=FASTEST_LIMIT).check(entry["fastest_pole"])
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
+def _rate(where: str, entry: Mapping[str, Any], parameter: Parameter) -> float | None:
+    """Returns a number above 0 of a section, or None without it."""
+    with error_in(where):
+        return parameter.check(entry[parameter.name]) if parameter.name in entry else None
 
 
 def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, clipped: bool) -> float | None:
@@ -400,12 +383,9 @@ def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, cl
     Args:
         clipped: True if something limits the forces.
     """
-    if "anti_windup" not in entry:
+    rate = _rate(where, entry, Parameter("anti_windup", "1/s", "of its states", largest=FASTEST_TRACKING))
+    if rate is None:
         return None
-    try:
-        rate = Parameter("anti_windup", "1/s", "of its states", largest=FASTEST_TRACKING).check(entry["anti_windup"])
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
     if law is not None and not law.states:
         raise InputError(f"{where} has anti_windup, and its law has no states that wind up; leave anti_windup out")
     if not clipped:
@@ -447,10 +427,8 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
                 f"{where} {key} has {size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
                 f"{m} actuator(s), and {q} signal(s) are measured"
             )
-    try:
+    with error_in(where):
         return LinearLaw(*(np.array(entry[key], dtype=float).reshape(shapes[key]) for key in MATRICES), sample_period=period)
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
 
 
 def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from models.common.checks import check_keys
+from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS
@@ -231,12 +231,11 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     return replace(limits, **{name: part.check(section[name]) for name, part in of_actuators.items() if name in section})
 
 
-def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...], most_delay: int = MOST_DELAY) -> Implementation:
+def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:
     """Reads `[implementation]`.
 
     Args:
         measurable: the signals that a controller of this vehicle can measure.
-        most_delay: largest delay [samples].
 
     Raises:
         InputError: a key or signal is unknown, or a value is not allowed.
@@ -246,15 +245,13 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...],
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
         values_by_key["sample_period"] = period
-    for name, most, kinds, what in (("delay", most_delay, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
+    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
         value = section.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
         values_by_key[name] = int(value) if value == int(value) else value
     for name in ("noise", "quantisation"):
-        values = section.get(name, {})
-        if not isinstance(values, dict):
-            raise InputError(f"[implementation] {name} is not a table; write {name} = {{ signal = value }}")
+        values = table_within(f"[implementation] {name}", section.get(name, {}), f"one, as in {name} = {{ signal = value }}")
         for signal in values:
             if signal not in measurable:
                 raise InputError(

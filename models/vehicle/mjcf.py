@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, error_in, quoted
 from models.common.files import read_text
 from models.kinds.kind import GRAVITY, HERE, LOWEST_HUB
 from models.kinds.strut_and_tyre import actuator_of
@@ -172,11 +172,9 @@ def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     if vehicle.fitted:
         at_rest = _compiled(vehicle, spec.copy())
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
-    try:
+    with error_in(f"MJCF {vehicle.kind.mjcf}:"):
         sense_velocities(spec, pairs)
         fit_curves(spec, softest(vehicle.fitted, vehicle.adjustable, vehicle.kind.pushed), FITTED, rest)
-    except InputError as error:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: {error}") from error
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from models.common.checks import number_within
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, error_in, listing
 from models.kinds.kind import GRAVITY, Parameter, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
@@ -62,10 +62,8 @@ def laden(
     for name, moved in (("axle_distance_front", -shift["x"]), ("axle_distance_rear", shift["x"]), ("centre_height", shift["z"])):
         if name in heavier:
             heavier[name] += moved
-    try:
+    with error_in("[payload]: with it"):
         checked = kind.check(heavier)
-    except InputError as error:
-        raise InputError(f"[payload]: with it {error}") from error
     return checked, _sunk(kind, model, load, limits)
 
 
@@ -84,10 +82,8 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
             raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; leave {key} out")
     if "mass" not in given:
         raise InputError(f"{where} mass is missing; give it in kg")
-    try:
+    with error_in(where):
         mass = MASS.check(given["mass"])
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
     return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.common.checks import check_keys, is_finite, number_within
+from models.common.checks import check_keys, flag_within, is_finite, number_within
 from models.common.errors import InputError, listing, quoted
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number
 from models.kinds.signals import HEAVE_LOAD
@@ -292,17 +292,17 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
     return tuple((name, float(value)) for name, value in given.items())
 
 
-def read_sampled(where: str, value: Any, period: Any) -> bool:
+def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any) -> bool:
     """Returns `sampled` of a section: True if designs are for the sampled loop.
 
     Args:
+        usual: the value if the section has none.
         period: of `[implementation]`; None without one.
 
     Raises:
         InputError: the value is not allowed, or there is no sample period.
     """
-    if not isinstance(value, bool):
-        raise InputError(f"{where} sampled = {quoted(value)} is not allowed; give true or false")
+    value = flag_within(where, entry, "sampled", usual)
     if value and period is None:
         raise InputError(
             f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "

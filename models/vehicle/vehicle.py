@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, read_text
 from models.kinds.kind import HERE, ShownVehicle, VehicleKind
 from models.kinds.linear_model import LinearModel
@@ -462,15 +462,13 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
     if str(file) in shipped() and not path.is_file():
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
-    try:
+    with error_in(f"vehicle file {path}:"):
         if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
             raise InputError(
                 f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
             )
         whole, files = whole_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
-    except InputError as error:
-        raise InputError(f"vehicle file {path}: {error}") from error
 
 
 def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
@@ -512,7 +510,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    sampled = read_sampled("[implementation]", data.get("implementation", {}).get("sampled", False), implementation.sample_period)
+    sampled = read_sampled("[implementation]", data.get("implementation", {}), False, implementation.sample_period)
     section = data.get("controllers", {})
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.checks import check_keys
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, read_text
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
@@ -94,17 +95,13 @@ def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
     Args:
         own_kinds: as for `read_vehicle`.
     """
-    try:
+    with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent, own_kinds)
-    except InputError as error:
-        raise InputError(f"campaign file {path}: {error}") from error
 
 
 def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
     data = parse_toml(text)
-    for key in data:
-        if key not in KEYS:
-            raise InputError(f"unknown key {key!r}; known: {listing(KEYS)}")
+    check_keys("", data, KEYS)
     names = _texts(data, "vehicles", "quarter_car")
     vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name, own_kinds) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
@@ -124,10 +121,8 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
     duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6, "s"), data.get("timestep", 1e-3)
     timestep = read_number(timestep, "timestep", 0.0, 1.0, "s")
     for name, vehicle in vehicles.items():
-        try:
+        with error_in(f"vehicle {name!r}:"):
             sample_times(vehicle, duration, timestep)
-        except InputError as error:
-            raise InputError(f"vehicle {name!r}: {error}") from error
     settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
@@ -155,10 +150,8 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
 
 def _check_road(name: str, vehicle: Vehicle, road: RoadChoice, speed: float, campaign: Campaign) -> None:
     built = road.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration)
-    try:
+    with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
         built.check(vehicle, campaign.time)
-    except InputError as error:
-        raise InputError(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}: {error}") from error
 
 
 def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:

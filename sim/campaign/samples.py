@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.checks import check_keys, number_within
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.units import in_unit
 from models.kinds.kind import Parameter
 from models.roads.iso8608 import check_seed
@@ -83,9 +84,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         return Draws({name: ({},) for name in vehicles}, {name: {} for name in vehicles})
     if not isinstance(section, dict):
         raise InputError("'samples' is not a section; write it as [samples]")
-    for key in section:
-        if key not in SAMPLES:
-            raise InputError(f"[samples] unknown key {key!r}; known: {listing(SAMPLES)}")
+    check_keys("[samples]", section, SAMPLES)
     if "count" not in section:
         raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
     count, method = _count(section, "count"), section.get("method", "latin_hypercube")
@@ -140,12 +139,10 @@ def _vehicle_samples(
     for name, vehicle in vehicles.items():
         samples[name] = _drawn(distributions, _values(vehicle), method, count, seed)
         for row in samples[name]:
-            try:
+            with error_in(f"[samples] a sample of vehicle {name!r} is no vehicle:"):
                 sampled = with_sample(vehicle, row)
                 vehicle.kind.check(sampled.parameters)
                 _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
-            except InputError as error:
-                raise InputError(f"[samples] a sample of vehicle {name!r} is no vehicle: {error}") from error
     return samples
 
 
@@ -159,20 +156,14 @@ def _variants(
     distributions = [_distribution(f"{where} {key}", key, entry) for key, entry in table.items()]
     own = {}
     for one in distributions:
-        try:
+        with error_in(f"{where} vehicle {name!r}:"):
             value = check_key(vehicle, controller, one.name)
-        except InputError as error:
-            raise InputError(f"{where} vehicle {name!r}: {error}") from error
         if one.relative and value is None:
             raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; leave relative out")
         own[one.name] = value
         for end in one.ends:
-            try:
+            with error_in(f"{where} the distribution reaches a value that is none, for vehicle {name!r}:"):
                 drawn_entry(vehicle, controller, {one.name: (value or 0.0) * end if one.relative else end})
-            except InputError as error:
-                raise InputError(
-                    f"{where} the distribution reaches a value that is none, for vehicle {name!r}: {error}"
-                ) from error
     return _drawn(distributions, own, method, count, seed)
 
 
@@ -231,15 +222,11 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
         raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(own)}")
     scale = own[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:
-        try:
+        with error_in(f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}:"):
             if distribution.name in parameters:
                 parameters[distribution.name].check(scale * end)
             else:
                 read_number(scale * end, distribution.name, 0.0, LARGEST)
-        except InputError as error:
-            raise InputError(
-                f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}: {error}"
-            ) from error
 
 
 def _values(vehicle: Vehicle) -> dict[str, float]:
@@ -266,10 +253,7 @@ def read_number(value: Any, where: str, smallest: float, largest: float, unit: s
     Raises:
         InputError: the value is not a number, or beyond them.
     """
-    value = in_unit(value, unit, where)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
-        raise InputError(f"{where}: {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}")
-    return float(value)
+    return number_within(where, in_unit(value, unit, where), smallest, largest, unit)
 
 
 def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from models.common.command import Parser
-from models.common.errors import InputError
+from models.common.errors import InputError, error_in
 from models.common.printed import percent, wrapped
 from models.vehicle.names import CLASSES, PLUS, ROAD_SYNTAX, named_file, split_off
 from sim.command.road_options import add_loads, add_run_options, add_vehicles
@@ -86,10 +86,8 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     if "speed" in options.given and choice.kind == "rig":
         raise InputError("--speed does not apply to a rig, on which the vehicle stands still; omit it")
     road = _built(vehicle, options, choice)
-    try:
+    with error_in(f"road {choice.text!r}:"):
         road.check(vehicle, time)
-    except InputError as error:
-        raise InputError(f"road {choice.text!r}: {error}") from error
     return road
 
 

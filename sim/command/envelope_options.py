@@ -1,15 +1,11 @@
 """Options of `sim.envelope`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
 from models.common.command import Parser
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from sim.command.road_options import add_loads
-
-if TYPE_CHECKING:
-    pass
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,

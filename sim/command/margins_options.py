@@ -1,14 +1,10 @@
 """Options of `sim.margins`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from models.common.command import Parser
 from sim.command.road_options import add_exported
 from sim.studies.stability import TIMESTEP
-
-if TYPE_CHECKING:
-    pass
 
 EPILOG = """
 errors [%]: every reading is off by a factor of its own, between 1 - error and

@@ -83,29 +83,30 @@ class Log:
 
     @property
     def timestep(self) -> float:
-        """Returns the timestep of its runs [s].
-
-        Raises:
-            InputError: it has none.
-        """
-        try:
-            return float(self.metadata["timestep"])
-        except (KeyError, ValueError):
-            raise InputError("the log has no timestep") from None
+        """Returns the timestep of its runs [s]."""
+        return float(self.metadata["timestep"])
 
     @property
     def result(self) -> dict[str, Any]:
-        """Returns the attached result of the command.
+        """Returns the attached result of the command, a JSON object.
 
         Raises:
-            InputError: it is not attached, or is not a JSON object.
+            InputError: it is not attached, or is not JSON.
         """
         if "result.json" not in self.attachments:
             raise InputError("result.json is not attached")
-        result = read_json(self.attachments["result.json"], "result.json")
-        if not isinstance(result, dict):
-            raise InputError("result.json is not an object")
-        return result
+        return read_json(self.attachments["result.json"], "result.json")
+
+    def attached(self, run: RecordedRun, claim: str) -> bytes:
+        """Returns the attachment that a run's claim names.
+
+        Raises:
+            InputError: it is not attached.
+        """
+        name = run.claims.get(claim, "")
+        if name not in self.attachments:
+            raise InputError(f"its {claim.replace('_', ' ')} is not attached")
+        return self.attachments[name]
 
 
 def read_log(path: Path) -> Log:

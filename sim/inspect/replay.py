@@ -4,42 +4,38 @@ Nothing is designed, and no solver is needed: a certificate is checked from its 
 The code of a law in Python is not run: the forces that it requested are in the log.
 """
 
-from collections.abc import Mapping, Sequence
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.kinds.signals import Signal, kept_signals
 from models.laws.linear import MATRICES, LinearLaw, static_law
-from models.laws.python_law import Programmed, PythonLaw
+from models.laws.preview import preview_of
+from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.roads.description import described_road
-from models.roads.road import Road, RoadInput
+from models.roads.road import RoadInput
 from models.vehicle.controllers import RESERVED, ControllerEntry
-from models.vehicle.limits_and_implementation import read_implementation, read_limits
+from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.names import logged_part
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from models.vehicle.vehicle import kinds as kind_names
 from sim.inspect.log import Log, RecordedRun
 from sim.linear.dampers import command_names
-from sim.linear.sampled_response import largest_timestep
 from sim.physics.simulate import simulate
 from sim.recording.run_log import MUJOCO
 from sim.response.response import Response
 from sim.runs.forces import read_forces
-from sim.runs.prediction import Prediction, predict, predict_replayed
+from sim.runs.prediction import predict, predict_replayed
 from sim.runs.run import Run, compare_runs, driver_again, with_energy_balance
-from synth.analysis.specification import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, verify_record
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
-MOST_DELAY = 1000  # samples; `sim.margins` logs runs on either side of a delay margin
 FEWEST = 3  # samples that make a run
 
 
@@ -54,11 +50,6 @@ class Replay:
 
     run: Run
     physics: Response
-
-    @property
-    def prediction(self) -> Prediction:
-        """Returns the new prediction."""
-        return self.run.prediction
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
@@ -83,21 +74,14 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 
 
 def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
-    """Returns the vehicle with the implementation of a run, which may have a delay that the vehicle file lacks.
-
-    Raises:
-        InputError: the logged implementation is wrong, or the logged limits are not those of the vehicle file.
-    """
+    """Returns the vehicle with the implementation of a run, which may have a delay that the vehicle file lacks."""
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
-    limits = read_limits(_given(run.claim("limits")), vehicle.kind.suspensions)
-    beside_forces = name in RESERVED and limits != vehicle.limits  # passive and state, with controllers that push
-    vehicle = vehicle.with_force_actuators if vehicle.dampers and beside_forces else vehicle.driven_by(name)
-    if limits != vehicle.limits:
-        raise InputError("its [limits] are not those of vehicle.toml")
-    how = read_implementation(_given(run.claim("implementation")), vehicle.linear_model.measurable, MOST_DELAY)
-    return replace(vehicle, implementation=how)
+    # The passive vehicle and state feedback, beside controllers that push
+    pushed = vehicle.dampers and name in RESERVED and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
+    vehicle = vehicle.with_force_actuators if pushed else vehicle.driven_by(name)
+    return replace(vehicle, implementation=Implementation(**run.claim("implementation")))
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
@@ -115,64 +99,37 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
 
 
 def recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run, with a certificate computed anew from its law and the proof in the log.
+    """Returns the controller of a run: the vehicle file's, with the law of a design, and every proof, from the log.
 
     A law in Python is the attached text.
 
     Raises:
-        InputError: it is not a controller of this vehicle, its law is not the vehicle file's, or its proof is not a proof.
+        ValueError: it is not a controller of this vehicle, or its proof is malformed.
     """
-    name, measured = run.claims.get("name", ""), run.claim("measured")
+    name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
         raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
-    expected = {"passive": (), "state": vehicle.linear_model.states}
-    signals = expected[name] if name in expected else vehicle.controllers[name].measured
-    if measured != list(signals):
-        raise InputError(f"what it measures is not what vehicle.toml says: {', '.join(signals) or 'nothing'}")
     entry = vehicle.controllers.get(name)
     if entry is not None and entry.python is not None:
-        return _programmed(log, run, entry.name, signals, entry.python)
+        return Programmed(name, entry.measured, entry.python, log.attached(run, "law_file").decode("utf-8", errors="replace"))
     if entry is not None and entry.semi_active is not None:
-        controller = SemiActive(entry.name, entry.semi_active)
-        record = controller.law.record
-        if {key: run.claims.get(key) if key == "semi_active" else run.claim(key) for key in record} != record:
-            raise InputError("its semi-active law is not that of vehicle.toml")
-        return controller
-    law = _law(run, len(vehicle.linear_model.inputs), len(signals))
-    none = static_law(np.zeros_like(law.D))
-    given = none if name == "passive" else None if name == "state" else vehicle.controllers[name].law
-    if given is not None and law.record != given.record:
-        raise InputError("its gain or law is not that of vehicle.toml")
-    if entry is not None and law.states and law.anti_windup != entry.anti_windup:
-        raise InputError("its anti-windup is not that of vehicle.toml")
-    record = run.claim("certificate")
-    only_sampled = SAMPLED_NORM in record and "norm" not in record  # its computer alone makes its loop stable
-    if given is None and "X" not in record and not only_sampled:
-        raise InputError("it was designed, and its certificate proves no bound")
-    preview = None
-    if entry is not None and entry.preview:
-        from models.laws.preview import preview_of
-
-        preview = preview_of({"preview": run.claim("preview")})
-        shape = len(vehicle.linear_model.inputs), len(vehicle.linear_model.disturbances)
-        if preview is None or (len(preview.C), preview.B.shape[1]) != shape or preview.seconds != entry.preview:
-            raise InputError("its preview of the road is not that of vehicle.toml")
+        return SemiActive(name, entry.semi_active)
+    m = len(vehicle.linear_model.inputs)
+    if entry is None:
+        signals = vehicle.linear_model.states if name == "state" else ()
+        given = static_law(np.zeros((m, 0))) if name == "passive" else None
+    else:
+        signals, given = entry.measured, entry.law
+    law = given or _law(run, m, len(signals))
+    preview = preview_of({"preview": run.claim("preview")}) if entry is not None and entry.preview else None
+    if entry is not None and law.states:
+        law = replace(law, anti_windup=entry.anti_windup)
+    if entry is not None and preview is not None and preview.seconds != entry.preview:
+        raise InputError(f"it knows {preview.seconds} s of the road, and vehicle.toml gives it {entry.preview} s")
     hardware = vehicle.hardware(name)
-    certificate, _ = verify_record(
-        problem(vehicle, signals, hardware), ControllerEntry(name, tuple(signals), law, record, hardware=hardware)
-    )
-    return Controller(name, signals, law, given is None, certificate, hardware=hardware, preview=preview)
-
-
-def _programmed(log: Log, run: RecordedRun, name: str, signals: Sequence[str], law: PythonLaw) -> Programmed:
-    """Returns the law in Python of a run, with the attached text."""
-    content = log.attachments.get(run.claims.get("law_file", ""))
-    if content is None:
-        raise InputError(f"the text of its {law.kind} is not attached")
-    programmed = Programmed(name, tuple(signals), law, content.decode("utf-8", errors="replace"))
-    if run.claims.get("sha256") != programmed.sha256:
-        raise InputError(f"the text of its {law.kind} is not the one whose checksum the log has")
-    return programmed
+    recorded = ControllerEntry(name, tuple(signals), law, run.claim("certificate"), hardware=hardware)
+    certificate, _ = verify_record(problem(vehicle, signals, hardware), recorded)
+    return Controller(name, tuple(signals), law, given is None, certificate, hardware=hardware, preview=preview)
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> Replay:
@@ -188,39 +145,23 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> 
     timestep, logged = log.timestep, run.responses.get(MUJOCO)
     if logged is None or len(logged.times) < FEWEST:
         raise InputError("the log has no samples of MuJoCo's response")
-    if not timestep <= largest_timestep(vehicle):
-        raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
     time = np.arange(len(logged.times)) * timestep
     if not np.array_equal(np.round(time * 1e9), logged.times):
         raise InputError(f"its samples are not {timestep:g} s apart from 0 on")
-    road = RoadInput(vehicle, recorded_road(log, run), time)
+    points = log.attached(run, "road_file") if "road_file" in run.claims else None
+    road = RoadInput(vehicle, described_road(run.claim("road"), points), time)
     physics = as_response(vehicle, run, MUJOCO, timestep, kept(controller))
     if isinstance(controller, Controller) and not vehicle.dampers:
         prediction = predict(LoopModel(vehicle, controller, road.timestep), road, MOST_STATES)
     else:
         forces = np.zeros((0, 0))
         if isinstance(controller, Programmed):
-            content = log.attachments.get(run.claims.get("forces_file", ""))
-            if content is None:
-                raise InputError(f"the forces of its {controller.law.kind} are not attached")
-            forces = read_forces(content, command_names(vehicle), len(time))
+            forces = read_forces(log.attached(run, "forces_file"), command_names(vehicle), len(time))
         prediction = predict_replayed(controller, road, physics, forces)
     (compared,) = compare_runs([prediction], [physics])
     again = simulate([driver_again(prediction, time)], [RoadInput(vehicle, compared.road, time)])
     (compared,) = with_energy_balance([compared], again)
     return Replay(compared, again.run(0))
-
-
-def recorded_road(log: Log, run: RecordedRun) -> Road:
-    """Returns the road of a run.
-
-    Raises:
-        InputError: the log does not describe it completely.
-    """
-    description = run.claim("road")
-    if not isinstance(description, dict):
-        raise InputError("its description of the road is not an object")
-    return described_road(description, log.attachments.get(run.claims.get("road_file", "")))
 
 
 def kept(controller: Driver) -> tuple[Signal, ...]:
@@ -246,23 +187,11 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
     return Response(np.arange(len(logged.times)) * timestep, signals, logged.values[:, columns])
 
 
-def _given(section: Any) -> Mapping[str, Any]:
-    """Returns a logged section as in a vehicle file, without the absent keys, which are None in the log."""
-    return {key: value for key, value in section.items() if value is not None}
-
-
 def _law(run: RecordedRun, m: int, q: int) -> LinearLaw:
     """Returns the law that a run records: a gain, or the matrices of one with states."""
     if "A" not in run.claims:
-        return static_law(_matrix(run.claim("gain"), "gain", (m, q)))
+        return static_law(np.array(run.claim("gain"), dtype=float).reshape(m, q))
     k = len(run.claim("A"))
     shapes = zip(MATRICES, ((k, k), (k, q), (m, k), (m, q)), strict=True)
-    period, rate = (run.claim(name) if name in run.claims else None for name in ("sample_period", "anti_windup"))
-    return LinearLaw(*(_matrix(run.claim(name), name, shape) for name, shape in shapes), sample_period=period, anti_windup=rate)
-
-
-def _matrix(value: Any, name: str, shape: tuple[int, int]) -> Array:
-    try:
-        return np.array(value, dtype=float).reshape(shape)
-    except (TypeError, ValueError):
-        raise InputError(f"its {name} is not a matrix of {shape[0]} x {shape[1]} numbers") from None
+    period = run.claim("sample_period") if "sample_period" in run.claims else None
+    return LinearLaw(*(np.array(run.claim(name), dtype=float).reshape(shape) for name, shape in shapes), sample_period=period)

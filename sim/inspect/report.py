@@ -1,19 +1,17 @@
 """Result of an inspection: in lines for the terminal, and as JSON."""
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
-from models.common.errors import InputError
 from models.common.printed import Whole, wrapped
 from sim.inspect.findings import HOLDS, NOTE, Finding
-from sim.inspect.log import Log, RecordedRun, read_json
 from sim.inspect.proof import Inspected, Proof
 from sim.runs.report import claims, controller_object, run_object, verdict
 from synth.controller.controller import Controller
 from synth.controller.report import law_lines, preview_lines
 
 FEW = 2  # runs that are told with road and law where not every finding is
-LONGEST = 400  # characters of a text from a log on the terminal
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
@@ -26,7 +24,7 @@ def proof_object(proof: Proof) -> dict[str, Any]:
         "vehicle": log.metadata.get("vehicle"),
         "vehicle_type": proof.vehicle.kind.name if proof.vehicle else None,
         "timestep": log.timestep,
-        "versions": _versions(log),
+        "versions": json.loads(log.metadata.get("versions", "{}")),
         "findings": [vars(finding) for finding in proof.findings],
         "runs": [_run_object(run) for run in proof.runs],
     }
@@ -39,7 +37,7 @@ def _run_object(one: Inspected) -> dict[str, Any]:
         "samples": max((len(response.times) for response in one.recorded.responses.values()), default=0),
         "findings": [vars(finding) for finding in one.findings],
         "controller": controller_object(again.run.controller) if again else None,
-        "road": _road(one.recorded),
+        "road": json.loads(one.recorded.claims.get("road", "null")),
         "again": run_object(again.run) if again else None,
     }
 
@@ -55,33 +53,33 @@ def proof_lines(proof: Proof, full: bool = True) -> list[str]:
         "command": log.metadata.get("command_line"),
         "vehicle": vehicle.kind.name if vehicle else "unknown",
         "from": log.metadata.get("vehicle", "a file of no name"),
-        "versions": ", ".join(f"{name} {version}" for name, version in _versions(log).items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in json.loads(log.metadata.get("versions", "{}")).items()),
     }
     about = about if full else {key: about[key] for key in ("command", "vehicle")}
     lines = [Whole(log.path)]
     for key, text in about.items():
-        lines += wrapped(_shown(text), f"  {key:10}", 12) if text else []
+        lines += wrapped(text, f"  {key:10}", 12) if text else []
     lines += _lines(proof.findings, full)
     brief = not full and len(proof.runs) > FEW
     for one in proof.runs:
         run = one.again.run if one.again else None
         if brief or run is None:
-            verdict_text = f": {_shown(verdict(run))}" if run else ""
+            verdict_text = f": {verdict(run)}" if run else ""
             lines += [*wrapped(f"run {one.recorded.name}{verdict_text}", hang=4), *_lines(one.findings, full)]
             continue
         time, controller = run.prediction.time, run.controller
         lines += ["", f"run {one.recorded.name}: {len(time)} samples to {time[-1]:.6g} s at {log.timestep:g} s"]
-        lines += wrapped(_shown(run.road.words), f"  {'road':10}", 12)
+        lines += wrapped(run.road.words, f"  {'road':10}", 12)
         lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
         if not full:
-            lines += wrapped(_shown(claims(controller)), f"  {'design':10}", 12)
+            lines += wrapped(claims(controller), f"  {'design':10}", 12)
         if not isinstance(controller, Controller):
-            lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
+            lines += wrapped(controller.text, f"  {'':10}", 12)
         elif controller.measured and full:
             lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
             lines += preview_lines(controller, f"  {'':10}")
         if not full:
-            lines += wrapped(_shown(verdict(run)), f"  {'verdict':10}", 12)
+            lines += wrapped(verdict(run), f"  {'verdict':10}", 12)
         lines += _lines(one.findings, full)
     fails = f"the log DOES NOT PROVE what it claims: {broken_text(proof)}"
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
@@ -101,33 +99,9 @@ def _lines(findings: Sequence[Finding], full: bool) -> list[str]:
         held = ", ".join(dict.fromkeys(one.part for one in findings if one.verdict == HOLDS))
         others = [one for one in findings if one.verdict != HOLDS]
         return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *_lines(others, full=True)]
-    return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
+    return [line for one in findings for line in wrapped(f"{one.part}: {one.text}", f"  {one.verdict:8}", 12)]
 
 
 def _broken(findings: Sequence[Finding]) -> list[str]:
     """The parts of which something is not proved, each once."""
     return list(dict.fromkeys(finding.part for finding in findings if finding.verdict not in (HOLDS, NOTE)))
-
-
-def _road(recorded: RecordedRun) -> dict[str, Any] | None:
-    """Returns the description of a run's road, or None if the log has none."""
-    try:
-        road = recorded.claim("road")
-    except InputError:
-        return None
-    return road if isinstance(road, dict) else None
-
-
-def _versions(log: Log) -> dict[str, str]:
-    """Returns the versions of the packages that wrote the log."""
-    try:
-        versions = read_json(log.metadata.get("versions", "{}"), "versions")
-    except InputError:
-        return {}
-    return {str(name): str(version) for name, version in versions.items()} if isinstance(versions, dict) else {}
-
-
-def _shown(text: str) -> str:
-    """Text from a log as a terminal may have it: on one line, without what would steer the terminal, and not endless."""
-    short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)

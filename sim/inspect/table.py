@@ -37,4 +37,4 @@ def _responses(proof: Proof, vehicle: Vehicle, one: Inspected) -> Iterator[tuple
         with contextlib.suppress(InputError):
             yield source, as_response(vehicle, one.recorded, name, proof.log.timestep, states)
     if one.again:
-        yield "recomputed", one.again.prediction.sampled
+        yield "recomputed", one.again.run.prediction.sampled

@@ -11,98 +11,43 @@ from typing import Any
 
 import numpy as np
 
-from models.figures.figure import styles, tint
-from models.kinds.signals import Signal
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
-from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, compared, groups, plotted, shown, title
+from sim.recording.pages import DIFFERENCE, Curve, Page, Plot, colour_of, compared_pages, run_pages
+from sim.recording.run_log import RunLog
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:
     """Returns the layout of an MCAP file as JSON: for several runs first a tab with all of them, then one for each."""
     panels: dict[str, Any] = {}
-    pages = [(run.name, _page(panels, runs, run)) for run in runs]
-    root = pages[0][1]
-    if len(runs) > 1:
-        pages.insert(0, ("all", _comparison(panels, runs)))
-        root = "Tab!runs"
-        panels[root] = _tabs(pages)
+    tabs = [("all", _seen(panels, runs, runs, "all"))] if len(runs) > 1 else []
+    tabs += [(run.name, _seen(panels, runs, [run], run.name)) for run in runs]
+    root = _paged(panels, "runs", tabs)
     layout = {"configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 0.2}, "layout": root}
     return json.dumps(layout, indent=1)
 
 
-def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
-    """Adds the panels of one run: on the left the car and its events, on the right the responses and the differences."""
-    color = styles(tuple(other.name for other in runs))[run.name].color
-    car, log = f"3D!{_id(run.name)}", f"RosOut!{_id(run.name)}"
-    panels[car] = _scene(runs, [run])
-    panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, run, "events")}
-    pages = []
-    for group, signals in groups(plotted(run)).items():
-        plots = []
-        for signal in signals:
-            paths = [
-                _path(topic(runs, run, name), signal.name, label, tint(color, white), width)
-                for name, (label, white, width) in RESPONSES.items()
-                if name in run.responses and signal.name in run.responses[name].names
-            ]
-            plots.append(_plot(panels, f"{run.name} {signal.name}", _title(signal), paths))
-        gaps = _difference(panels, runs, run, group, signals)
-        pages.append((title(run, group), _stack("column", [_grid(plots, 2 if len(plots) <= 8 else 3), *gaps], [4.0, 1.0])))
-    pages += _acting(panels, runs, run, color)
-    return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), _paged(panels, run.name, pages)], [2.0, 3.0])
+def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog], name: str) -> Any:
+    """Adds the panels of one run, its car and its events beside its plots, or of all runs, their cars above their plots."""
+    car, log = f"3D!{_id(name)}", f"RosOut!{_id(name)}"
+    panels[car] = _scene(runs, seen)
+    alone = len(seen) < len(runs) or len(runs) == 1
+    pages = run_pages(seen[0], colour_of(runs, seen[0])) if alone else compared_pages(runs)
+    plots = _paged(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages])
+    if not alone:
+        return _stack("column", [car, plots], [2.0, 3.0])
+    panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, seen[0], "events")}
+    return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), plots], [2.0, 3.0])
 
 
-def _acting(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, color: str) -> list[tuple[str, Any]]:
-    """Adds the panels of loads over time, and of damper and spring forces over their arguments."""
-    pages = []
-    if LOADS in run.acting:
-        where = topic(runs, run, LOADS)
-        plots = [
-            _plot(panels, f"{run.name} {one.name}", _title(one), [_path(where, one.name, one.name.replace("_", " "), color, 1.5)])
-            for one in run.acting[LOADS].signals
-        ]
-        pages.append(("loads", _grid(plots, 2 if len(plots) > 3 else 1)))
-    if DAMPERS in run.acting:
-        where, plots = topic(runs, run, DAMPERS), []
-        for one in run.diagrams:
-            paths = [
-                *(_path(where, line.signal.name, line.label, "#111111", line.width) for line in one.lines),
-                _path(where, one.pull.name, "MuJoCo", color, 1.5),
-            ]
-            title = f"{one.title}: force [{one.pull.unit}] over {one.over}"
-            plots.append(_plot(panels, f"{run.name} {one.pull.name}", title, paths, _field(where, one.argument.name)))
-        pages.append(("dampers and springs", _grid(plots, 2 if len(plots) > 1 else 1)))
-    return pages
-
-
-def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
-    """Adds a plot of MuJoCo minus sampled, if both exist; returns its id in a list."""
-    names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
-    paths = [
-        _path(topic(runs, run, "difference"), name, name.replace("_", " "), PALETTE[i % len(PALETTE)], 1.5)
-        for i, name in enumerate(names)
-    ]
-    title = "difference: MuJoCo - sampled, of each signal's peak"
-    return [_plot(panels, f"{run.name} difference {group}", title, paths)] if names else []
-
-
-def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
-    """Adds the panels for all runs: the cars in a row, above plots of every signal."""
-    panels["3D!all"] = _scene(runs, runs)
-    colours = styles(tuple(run.name for run in runs))
-    pages = []
-    for group, signals in groups(compared(runs)).items():
-        plots = []
-        for signal in signals:
-            paths = [
-                _path(topic(runs, run, shown(run)), signal.name, run.name, colours[run.name].color, 1.5)
-                for run in runs
-                if signal.name in run.responses[shown(run)].names
-            ]
-            plots.append(_plot(panels, f"all {signal.name}", _title(signal), paths))
-        pages.append((group, _grid(plots, 4)))
-    return _stack("column", ["3D!all", _paged(panels, "all", pages)], [2.0, 3.0])
+def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str) -> Any:
+    """Adds the plots of a page, in rows, with the differences below."""
+    ids = [_plot(panels, runs, plot, f"{name} {page.title} {i}") for i, plot in enumerate(page.plots)]
+    rows = [_stack("row", ids[start : start + page.columns]) for start in range(0, len(ids), page.columns)]
+    if not page.difference:
+        return _stack("column", rows)
+    gap = _plot(panels, runs, Plot(DIFFERENCE, page.difference), f"{name} {page.title} difference")
+    return _stack("column", [_stack("column", rows), gap], [4.0, 1.0])
 
 
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
@@ -134,14 +79,29 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
     }
 
 
-def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, Any]], over: str = "") -> str:
+def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str) -> str:
     """Adds a plot over time, or over a field; returns its id. Plots over time zoom together."""
     panel = f"Plot!{_id(name)}"
+    axis: dict[str, Any] = {"xAxisVal": "timestamp"}
+    if plot.diagram is not None:
+        over = _field(runs, plot.curves[0], plot.diagram.argument.name)
+        axis = {"xAxisVal": "custom", "xAxisPath": {"value": over, "enabled": True}}
     panels[panel] = {
-        "title": title,
-        "paths": paths,
-        **({"xAxisVal": "custom", "xAxisPath": {"value": over, "enabled": True}} if over else {"xAxisVal": "timestamp"}),
-        "isSynced": not over,
+        "title": plot.title,
+        "paths": [
+            {
+                "value": _field(runs, curve, curve.signal),
+                "label": curve.label,
+                "color": curve.color,
+                "lineSize": curve.width,
+                "showLine": True,
+                "enabled": True,
+                "timestampMethod": "receiveTime",
+            }
+            for curve in plot.curves
+        ],
+        **axis,
+        "isSynced": plot.diagram is None,
         "showLegend": True,
         "legendDisplay": "floating",
         "showPlotValuesInLegend": False,
@@ -152,45 +112,20 @@ def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, A
     return panel
 
 
-def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[str, Any]:
-    """Returns a curve: a field of a topic."""
-    return {
-        "value": _field(topic, field),
-        "label": label,
-        "color": color,
-        "lineSize": width,
-        "showLine": True,
-        "enabled": True,
-        "timestampMethod": "receiveTime",
-    }
-
-
-def _field(topic: str, field: str) -> str:
-    """Returns the path of a field of a topic; special characters are quoted."""
-    plain = re.fullmatch(r"[A-Za-z0-9_/-]+", topic)
-    return f"{topic if plain else json.dumps(topic, ensure_ascii=False)}.{field}"
-
-
-def _title(signal: Signal) -> str:
-    return f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]"
+def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
+    """Returns the path of a field of a curve's topic; special characters are quoted."""
+    path = topic(runs, curve.run, curve.topic)
+    plain = re.fullmatch(r"[A-Za-z0-9_/-]+", path)
+    return f"{path if plain else json.dumps(path, ensure_ascii=False)}.{name}"
 
 
 def _paged(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Returns a single page, or a tab panel with several pages."""
+    """Returns a single page, or adds a tab panel with several pages."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"
-    panels[panel] = _tabs(pages)
+    panels[panel] = {"activeTabIdx": 0, "tabs": [{"title": title, "layout": layout} for title, layout in pages]}
     return panel
-
-
-def _tabs(pages: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {"activeTabIdx": 0, "tabs": [{"title": title, "layout": layout} for title, layout in pages]}
-
-
-def _grid(panels: list[str], columns: int) -> Any:
-    rows = [_stack("row", panels[start : start + columns]) for start in range(0, len(panels), columns)]
-    return _stack("column", rows)
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:

@@ -28,10 +28,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.common.arrays import Array
 from sim.recording.run_log import RunLog
-from sim.recording.scene import BESIDE, FORCE, LIFTED, LINES, LONGEST, Scene, Shape, strut_lines, tyre_surface
+from sim.recording.scene import FORCE, LIFTED, LINES, Shape, arrows, strut_lines, tyre_surface
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
+SHORTEST = 1e-3  # arrow of a force that is drawn [m]
 GRID = 2.0**-12  # grid to which moving points are rounded [m], 0.25 mm: compressed, they take a third of the space
 
 Messages = Iterator[Any]
@@ -107,13 +108,15 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
         indices, colours = triangles.ravel().tolist(), (255 * tyre.rgba[:3], LIFTED)
         surfaces = [TriangleListPrimitive(pose=_pose(), indices=indices, color=_color(colour)) for colour in colours]
         tyres.append((tyre, surfaces, _packed(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
+    pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
         update = SceneUpdate()  # every part is made in its place: the message that holds a part copies it, point by point
         entity = _add_entity(update, time, frame(run), "struts")
         for look, points in zip(looks, struts, strict=True):
             _fill(entity.lines.add(), look, points[index])
         entity = _add_entity(update, time, frame(run), "forces")
-        entity.arrows.extend(_arrows(scene, index, largest))
+        forces = ((tails[index], vectors[index]) for tails, vectors in pushed)
+        entity.arrows.extend(_arrow(*force) for force in forces if np.linalg.norm(force[1]) >= SHORTEST)
         for tyre, surfaces, points in tyres:
             entity = _add_entity(update, time, frame(run, tyre.body), tyre.name)
             _fill(entity.triangles.add(), surfaces[int(tyre.lifted[index])], points[index])
@@ -125,24 +128,20 @@ def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
     return update.entities.add(timestamp=_stamp(time), frame_id=frame_id, id=name, lifetime=Duration(), frame_locked=True)
 
 
-def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:
-    """Yields an arrow for the force of each strut on the body, unless the force is tiny."""
-    for name, force in scene.forces.items():
-        bottom, top = scene.springs[name][index]
-        length = LONGEST * float(force[index]) / (largest or 1.0)
-        if abs(length) < 1e-3:
-            continue
-        direction = np.copysign(1.0, length) * (top - bottom) / np.linalg.norm(top - bottom)
-        # The unnormalised quaternion of the rotation from +x to the direction.
-        turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
-        yield ArrowPrimitive(
-            pose=_pose((bottom + top) / 2 + BESIDE, turn / np.linalg.norm(turn)),
-            shaft_length=0.7 * abs(length),
-            shaft_diameter=0.03,
-            head_length=0.3 * abs(length),
-            head_diameter=0.07,
-            color=_color(FORCE),
-        )
+def _arrow(tail: Array, vector: Array) -> ArrowPrimitive:
+    """Returns the arrow of a control force."""
+    length = float(np.linalg.norm(vector))
+    direction = vector / length
+    # The unnormalised quaternion of the rotation from +x to the direction.
+    turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
+    return ArrowPrimitive(
+        pose=_pose(tail, turn / np.linalg.norm(turn)),
+        shaft_length=0.7 * length,
+        shaft_diameter=0.03,
+        head_length=0.3 * length,
+        head_diameter=0.07,
+        color=_color(FORCE),
+    )
 
 
 def _add_solid(entity: Any, shape: Shape) -> None:

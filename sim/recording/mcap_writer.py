@@ -5,12 +5,10 @@ responses, without generated code; a field has the name of its signal.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
@@ -18,8 +16,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.common.arrays import Array
-from models.figures.figure import rgb, styles
+from models.figures.figure import rgb
 from models.kinds.signals import Signal
+from sim.recording.pages import colour_of
 from sim.recording.run_log import RunLog
 from sim.recording.scene import largest_force
 from sim.response.response import Response
@@ -29,26 +28,13 @@ PACKAGE = "roadproof"
 
 @dataclass(frozen=True, eq=False)
 class LoggedChannel:
-    """A channel of a log.
-
-    Attributes:
-        topic: its name.
-        schema: schema of its messages: name, encoding and data.
-        metadata: descriptions of its fields.
-        times: ascending times of its messages [ns].
-        contents: yields its messages, one for each time.
-    """
+    """A channel of a log: its topic, schema (name, encoding, data), descriptions of its fields, and messages with times [ns]."""
 
     topic: str
     schema: tuple[str, str, bytes]
     metadata: Mapping[str, str]
     times: Sequence[int]
-    contents: Callable[[], Iterator[bytes]]
-
-
-def records(runs: Sequence[RunLog], metadata: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
-    """Returns the metadata records of a log, by name: one for all runs, and one for each."""
-    return {PACKAGE: metadata, **{f"run/{run.name}": run.metadata for run in runs}}
+    contents: Iterable[bytes]
 
 
 def write_mcap(
@@ -57,9 +43,7 @@ def write_mcap(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> None:
-    """Writes runs to an MCAP file.
-
-    Its metadata are `records`, and its channels `channels`.
+    """Writes runs to an MCAP file: a metadata record for all runs and one for each, attachments, and `channels`.
 
     Args:
         path: the file; overwritten if it exists.
@@ -73,7 +57,7 @@ def write_mcap(
     with path.open("wb") as stream:
         writer = Writer(stream, enable_data_crcs=True)
         writer.start()
-        for name, record in records(runs, metadata).items():
+        for name, record in {PACKAGE: metadata, **{f"run/{run.name}": run.metadata for run in runs}}.items():
             writer.add_metadata(name, dict(record))
         for name, (media_type, content) in attachments.items():
             writer.add_attachment(0, 0, name, media_type, content)
@@ -84,7 +68,7 @@ def write_mcap(
                 schemas[channel.schema] = writer.register_schema(*channel.schema)
             schema, encoding = schemas[channel.schema], MessageEncoding.Protobuf
             number = writer.register_channel(channel.topic, encoding, schema, dict(channel.metadata))
-            messages += [(time, number, content) for time, content in zip(channel.times, channel.contents(), strict=True)]
+            messages += [(time, number, content) for time, content in zip(channel.times, channel.contents, strict=True)]
         for time, number, content in sorted(messages, key=itemgetter(0)):  # players stream a file from front to back
             writer.add_message(number, time, content, time)
         writer.finish()
@@ -101,27 +85,16 @@ def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
-        responses = {name: (response, "<f8") for name, response in run.responses.items()}
-        if run.gap is not None:
-            responses["difference"] = (run.gap, "<f4")
-        for name, (response, kind) in responses.items():
+        responses = {**run.responses, **({} if run.gap is None else {"difference": run.gap}), **run.acting}
+        for name, response in responses.items():
+            kind = "<f4" if name == "difference" else "<f8"
             number = numbers.setdefault(response.signals, len(numbers) + 1)
             yield LoggedChannel(
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, kind),
                 {signal.name: _described(signal) for signal in response.signals},
                 _nanoseconds(response.time),
-                partial(_encoded, response, kind),
-            )
-    for run in runs:
-        for name, response in run.acting.items():
-            number = numbers.setdefault(response.signals, len(numbers) + 1)
-            yield LoggedChannel(
-                topic(runs, run, name),
-                _signals_schema(response.signals, number, "<f8"),
-                {signal.name: _described(signal) for signal in response.signals},
-                _nanoseconds(response.time),
-                partial(_encoded, response, "<f8"),
+                _encoded(response, kind),
             )
     # A panel of events has its topic even if nothing happened.
     yield from (channel for channel in _published(runs) if channel.times or channel.topic.endswith("/events"))
@@ -193,31 +166,23 @@ def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
     from sim.recording import foxglove_scene as scene
 
     largest = largest_force(run.scene for run in runs)
-    colours = styles(tuple(run.name for run in runs))
     stand = np.zeros(3)
     for run in runs:
         run = replace(run, scene=run.scene.finite())
         times = _nanoseconds(run.scene.time)
         happened = _nanoseconds(np.array([time for time, _ in run.events]))
-        colour = rgb(colours[run.name].color)
+        colour = rgb(colour_of(runs, run))
+        first = times[:1] or [0]
         for name, kind, when, messages in (
-            ("events", scene.Log, happened, partial(scene.events, run, happened)),
-            ("transforms", scene.FrameTransforms, times, partial(scene.transforms, run, times, stand)),
-            (
-                "shapes",
-                scene.SceneUpdate,
-                [times[0] if times else 0],
-                partial(scene.shapes, run, times[0] if times else 0, colour),
-            ),
-            ("scene", scene.SceneUpdate, times, partial(scene.moving, run, times, largest)),
+            ("events", scene.Log, happened, scene.events(run, happened)),
+            ("transforms", scene.FrameTransforms, times, scene.transforms(run, times, stand)),
+            ("shapes", scene.SceneUpdate, first, scene.shapes(run, first[0], colour)),
+            ("scene", scene.SceneUpdate, times, scene.moving(run, times, largest)),
         ):
-            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, partial(_serialized, messages))
+            contents = (message.SerializeToString() for message in messages)
+            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, contents)
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
-
-
-def _serialized(messages: Callable[[], Iterator[Any]]) -> Iterator[bytes]:
-    return (message.SerializeToString() for message in messages())
 
 
 def _published_schema(kind: type) -> tuple[str, str, bytes]:

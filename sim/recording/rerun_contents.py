@@ -8,20 +8,20 @@ import pyarrow as pa
 import rerun as rr
 
 from models.common.arrays import Array
-from models.figures.figure import rgb, styles, tint
-from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, groups, plotted, shown
+from models.figures.figure import rgb, tint
+from sim.recording.pages import differences, groups, look, plotted
+from sim.recording.run_log import DAMPERS, LOADS, RunLog, shown
 from sim.recording.scene import (
-    BESIDE,
     FORCE,
     LIFTED,
     LINES,
-    LONGEST,
     PROFILE,
     ROAD,
     Scene,
     Shape,
     Track,
     Tyre,
+    arrows,
     road_surface,
     strut_lines,
     tyre_surface,
@@ -37,7 +37,6 @@ TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram over the largest value
 TICKS = 5  # of a diagram's axis, about
-ANY_RESPONSE = (0.3, 2.0)
 READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
 # Markers of events by text: (shape, colour that no curve has). Other events are crosses.
@@ -53,11 +52,6 @@ def entity(*parts: str) -> str:
 def time_index(time: Array) -> list[rr.TimeColumn]:
     """Returns times [s], rounded to nanoseconds as in the MCAP file; Rerun would truncate seconds given as floats."""
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
-
-
-def colours(runs: Sequence[RunLog]) -> list[str]:
-    """Returns the report's colour of each run."""
-    return [style.color for style in styles(tuple(run.name for run in runs)).values()]
 
 
 def line(label: str, color: str, width: float) -> rr.SeriesLines:
@@ -78,12 +72,10 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs every response of a run at `signals/<signal>/<response>`, in tints of its colour, and the end of the shown one."""
     for name, response in run.responses.items():
         index = time_index(response.time)
-        label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
-        units = {signal.unit for signal in response.signals}
-        looks = {unit: line(f"{label} [{unit}]", tint(color, white), width) for unit in units}
+        label, white, width = look(name)
         for signal in response.signals:
             path = entity(run.name, "signals", signal.name, name)
-            recording.log(path, looks[signal.unit], static=True)
+            recording.log(path, line(label, tint(color, white), width), static=True)
             recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
             if name == shown(run):
                 _log_end(recording, path, response.time)
@@ -95,21 +87,21 @@ def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
     if gap is None:
         return
     for name, group in groups(plotted(run)).items():
-        names = [signal.name for signal in group if signal.name in gap.names]
-        if not names:
+        curves = differences(run, group)
+        if not curves:
             continue
         path = entity(run.name, "difference", name)
         looks = rr.SeriesLines(
-            names=[name.replace("_", " ") for name in names],
-            colors=[rgb(PALETTE[i % len(PALETTE)]) for i in range(len(names))],
-            widths=[1.5] * len(names),
+            names=[curve.label for curve in curves],
+            colors=[rgb(curve.color) for curve in curves],
+            widths=[curve.width for curve in curves],
             aggregation_policy="MinMax",
         )
         recording.log(path, looks, static=True)
-        values = np.stack([gap[name] for name in names], axis=-1)
-        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
+        values = np.stack([gap[curve.signal] for curve in curves], axis=-1)
+        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(curves)] * len(values))
         recording.send_columns(path, time_index(gap.time), columns)
-        _log_end(recording, path, gap.time, len(names))
+        _log_end(recording, path, gap.time, len(curves))
 
 
 def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
@@ -267,8 +259,10 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
         _log_tyre(recording, entity(run.name, "world", tyre.body, tyre.name), scene, tyre)
     for name, ends in scene.springs.items():
         _log_strut(recording, entity(run.name, "world", "springs", name), scene.time, ends)
-    for name, force in scene.forces.items():
-        _log_force(recording, entity(run.name, "world", "forces", name), scene.time, scene.springs[name], force, largest)
+    for name, (tails, vectors) in arrows(scene, largest).items():
+        path = entity(run.name, "world", "forces", name)
+        recording.log(path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.018]), static=True)
+        recording.send_columns(path, time_index(scene.time), rr.Arrows3D.columns(origins=tails, vectors=vectors))
 
 
 def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Track) -> None:
@@ -303,18 +297,6 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
     ends_at = np.cumsum([0, *[line.shape[1] for line in lines] * len(time)])
     strips = pa.ListArray.from_arrays(ends_at, points, type=rr.components.LineStrip3DBatch([]).as_arrow_array().type)
     columns = rr.LineStrips3D.columns(strips=strips).partition([len(lines)] * len(time))
-    recording.send_columns(path, time_index(time), columns)
-
-
-def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Array, force: Array, largest: float) -> None:
-    """Logs a force on the body as an arrow next to the strut."""
-    axis = ends[:, 1] - ends[:, 0]
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    recording.log(path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.018]), static=True)
-    columns = rr.Arrows3D.columns(
-        origins=ends.mean(axis=1) + BESIDE,
-        vectors=axis * (LONGEST / (largest or 1.0) * force)[:, None],
-    )
     recording.send_columns(path, time_index(time), columns)
 
 

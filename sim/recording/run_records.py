@@ -21,7 +21,7 @@ from models.roads.road import Road, RoadInput, delays
 from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
 from sim.physics.run_blocks import DIVERGED
-from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, RunName, check_keys
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
 from sim.runs.report import controller_object, energy_object, events, half_step_object, summary, verdict
@@ -226,11 +226,10 @@ def record_runs(
         Paths of the files, as of `sim.recording.files.record`.
 
     Raises:
-        InputError: the folder cannot be written, or the result does not fit the command (`sim.recording.run_log`).
+        InputError: the folder cannot be written.
     """
     from sim.recording.files import record
 
-    check_keys(command_of(command_line), result)
     logs = [run_log(run, name) for name, run in runs.items()]
     time = logs[0].responses[MUJOCO].time
     timestep = float(time[1] - time[0])

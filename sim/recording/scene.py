@@ -197,6 +197,17 @@ def largest_force(scenes: Iterable[Scene]) -> float:
     return float(max(forces, default=0.0))
 
 
+def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
+    """Returns tail and vector [m] of the arrow of each control force, shapes (F, 3), by spring; `largest` [N] is the longest."""
+    drawn = {}
+    for name, force in scene.forces.items():
+        ends = scene.springs[name]
+        axis = ends[:, 1] - ends[:, 0]
+        axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        drawn[name] = ends.mean(axis=1) + BESIDE, axis * (LONGEST / (largest or 1.0) * force)[:, None]
+    return drawn
+
+
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
     """Returns coil, rod and tube of a spring with a damper, shapes (F, points, 3), from its ends [m], shape (F, 2, 3).
 

@@ -1,15 +1,17 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Checked, at_the_door
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, error_in, listing
 from models.common.printed import Shown
 from models.laws.linear import LinearLaw
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
@@ -24,55 +26,6 @@ if TYPE_CHECKING:
 
 
 SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
-
-
-class Law(Protocol):
-    """The protocol of a law from measurements to forces."""
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Returns the law for JSON and TOML."""
-        ...
-
-
-@runtime_checkable
-class Driver(Protocol):
-    """A controller that drives a vehicle: a linear `Controller`, a `Programmed` law in Python or FMU, or a `SemiActive` law."""
-
-    @property
-    def kind(self) -> str:
-        """Kind of its law, in words, with an article."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """Name of the controller."""
-        ...
-
-    @property
-    def measured(self) -> tuple[str, ...]:
-        """The q measured signals y."""
-        ...
-
-    @property
-    def law(self) -> Law:
-        """The law of the controller."""
-        ...
-
-    @property
-    def states(self) -> int:
-        """Number of states of a linear law; 0 if the law is not linear."""
-        ...
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Returns name, signals and law as a JSON object."""
-        ...
-
-    @property
-    def text(self) -> str:
-        """The law on one line."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -221,6 +174,9 @@ class Controller(Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
+Driver = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+
+
 def code_of(driver: object) -> Any:
     """Returns the `ExportedCode` that computes a controller's outputs in runs, or None if our own law does."""
     return getattr(driver, "code", None)
@@ -279,13 +235,11 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     from synth.analysis.record import false_claims, read_proof
 
     law, record = _law(entry), entry.certificate or {}
-    try:
+    with error_in(f"[controllers.{entry.name}]"):
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
         X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, of_law, posed.Dyw)
         certificate = certify(judged.plant, judged.G, X, eta, lower_bound, by_itself=judged.by_itself)
-    except InputError as error:
-        raise InputError(f"[controllers.{entry.name}] {error}") from error
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
@@ -295,11 +249,9 @@ def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound)
     Raises:
         InputError: the law has no loop.
     """
-    try:
+    with error_in(f"[controllers.{entry.name}]"):
         judged = posed.judged(_law(entry))
         certificate = certify(judged.plant, judged.G, lower_bound=lower_bound, by_itself=judged.by_itself)
-    except InputError as error:
-        raise InputError(f"[controllers.{entry.name}] {error}") from error
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:

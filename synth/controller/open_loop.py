@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, error_in
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import KEPT
 from models.laws.linear import LinearLaw
@@ -99,10 +99,8 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop
     """Returns the open loop for a sample period [s]."""
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
-    try:
+    with error_in(f"controller {controller.name!r}:"):
         law = controller.law.sampled(period)
-    except InputError as error:
-        raise InputError(f"controller {controller.name!r}: {error}") from error
     try:
         rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
     except InputError as error:

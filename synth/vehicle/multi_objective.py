@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, error_in
 from models.common.printed import percent
 from models.laws.goals import REGRET, EnergyBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import LinearLaw, static_law
@@ -41,10 +41,8 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     members = []
     for i, member in enumerate(goals.family or ({},)):
         parameters = {name: value * member.get(name, 1.0) for name, value in vehicle.parameters.items()}
-        try:
+        with error_in(f"[controllers.{entry.name}] family[{i}]:"):
             members.append(replace(vehicle, parameters=parameters).checked())
-        except InputError as error:
-            raise InputError(f"[controllers.{entry.name}] family[{i}]: {error}") from error
     return members
 
 
@@ -156,11 +154,9 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
     from models.roads.choice import choose_road  # it knows every kind of road and load, and their files
 
     where = f"{where} road = {bound.road!r}"
-    try:
+    with error_in(f"{where}:"):
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
     if choice.loads:
         raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
     if road.jumps:

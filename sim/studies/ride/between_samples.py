@@ -23,7 +23,6 @@ from sim.runs.run import Run
 from synth.controller.open_loop import readings_of_road, with_lag
 
 DEGREE = 8  # of the polynomial of a step
-CUBIC = 3
 PER_GAP = 8  # pieces of a road between two of its kinks, or more
 MOST_POINTS = 2_000_000  # of a response between samples; of longer runs a polynomial has a lower degree
 BULGE = 0.1  # of its range: by more than this a polynomial of a step does not exceed its points

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import optimize
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.kinds.kind import Variation, VehicleKind
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
@@ -120,10 +120,8 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
     if len(variations) > MOST:
         raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
     for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
-        try:
+        with error_in("--vary reaches a vehicle that is none:"):
             vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)
-        except InputError as error:
-            raise InputError(f"--vary reaches a vehicle that is none: {error}") from error
     return variations
 
 

@@ -1,0 +1,144 @@
+"""Vehicle types of a rigid body on several corners: all that follows from the body and the names of its corners."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from models.kinds import links, rigid_body, signals
+from models.kinds.kind import BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
+from models.kinds.linear_model import LinearModel
+from models.kinds.rigid_body import RigidBody
+from models.kinds.signals import Signal
+
+if TYPE_CHECKING:
+    from models.kinds.motion import Motion
+
+
+def lateral(side: str, p: Parameters) -> float:
+    """Returns the distance of a side's wheels to the left of the vehicle's middle [m]."""
+    return p["track"] / 2 if side == "left" else -p["track"] / 2
+
+
+@dataclass(frozen=True)
+class Car:
+    """The functions of a vehicle type.
+
+    Attributes:
+        body: parameters -> the body.
+        corners: names of the corners, an axle, or an axle and a side.
+        tyres: signals of the tyre deflections among the states.
+        rates: signals of the body's velocities.
+        accelerations: signals of the body's accelerations.
+    """
+
+    body: Callable[[Parameters], RigidBody]
+    corners: tuple[str, ...]
+    tyres: tuple[Signal, ...]
+    rates: tuple[Signal, ...]
+    accelerations: tuple[Signal, ...]
+
+    def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
+        """Returns the signals of quantities at every corner."""
+        return tuple(signal.at(corner) for signal in quantities for corner in self.corners)
+
+    @property
+    def states(self) -> tuple[Signal, ...]:
+        """The signals of the state."""
+        return (
+            *self.at_corners(signals.SUSPENSION_DEFLECTION),
+            *self.tyres,
+            *self.rates,
+            *self.at_corners(signals.UNSPRUNG_VELOCITY),
+        )
+
+    @property
+    def derived(self) -> tuple[Signal, ...]:
+        """The signals of the body's accelerations, and of its motion at the corners."""
+        return (*self.accelerations, *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """The signals that every response has."""
+        tyres = self.at_corners(signals.TYRE_DEFLECTION)
+        more = () if tyres == self.tyres else tyres
+        return (*self.states, *more, *self.derived, *self.at_corners(signals.CONTROL_FORCE))
+
+    @property
+    def on_demand(self) -> tuple[Signal, ...]:
+        """The signals that a response has if a controller or a goal names them: accelerations of the wheels, and heights."""
+        heights = self.at_corners(signals.SPRUNG_DISPLACEMENT, signals.UNSPRUNG_DISPLACEMENT)
+        return (*self.at_corners(signals.UNSPRUNG_ACCELERATION), signals.HEAVE_DISPLACEMENT, *heights)
+
+    def linear_model(self, p: Parameters) -> LinearModel:
+        """Returns the linear model for parameters [SI]."""
+        forces, roads = self.at_corners(signals.CONTROL_FORCE), self.at_corners(signals.ROAD_VELOCITY)
+        return rigid_body.linear_model(self.body(p), self.states, forces, roads, (*self.outputs, *self.on_demand))
+
+    def motion(self, p: Parameters) -> "Motion":
+        """Returns the exact equations of motion, which have every tyre's own deflection."""
+        from models.kinds.rigid_motion import rigid_motion
+
+        lengths = self.at_corners(signals.SUSPENSION_DEFLECTION, signals.TYRE_DEFLECTION)
+        states = (*lengths, *self.rates, *self.at_corners(signals.UNSPRUNG_VELOCITY))
+        return rigid_motion(self.body(p), states, (*self.derived, *self.on_demand))
+
+    def static_tyre_deflection(self, p: Parameters) -> dict[str, float]:
+        """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
+        return self.body(p).static_tyre_deflection()
+
+    def write_mjcf(self, spec: Any, p: Parameters) -> None:
+        """Writes the parameters into the MJCF."""
+        rigid_body.write_mjcf(spec, self.body(p))
+
+    def wheel_loads(self, p: Parameters) -> tuple[BodyLoad, ...]:
+        """Returns the loads on the wheels."""
+        return links.wheel_loads(p, self.corners)
+
+    def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
+        """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
+        return links.carried(p, self.corners, way, force, acceleration)
+
+    def angles(self, p: Parameters) -> dict[str, dict[str, float]]:
+        """Returns the body's angles [rad] as sums of signals."""
+        return rigid_body.angles(self.body(p))
+
+    def kind(
+        self,
+        name: str,
+        parameters: tuple[Parameter, ...],
+        check: Callable[[Parameters], None],
+        combined: Mapping[str, Mapping[str, float]] | None = None,
+        lacking: Mapping[str, str] | None = None,
+    ) -> VehicleKind:
+        """Returns the vehicle type; `check` refuses an impossible body, and the others are as in `VehicleKind`."""
+        sides = {corner: corner.partition("_")[2] for corner in self.corners}
+        return VehicleKind(
+            name=name,
+            parameters=parameters,
+            signals=(*self.at_corners(signals.ROAD_DISPLACEMENT, signals.ROAD_VELOCITY), *self.outputs),
+            wheels=tuple(
+                Wheel(
+                    road_body=f"road_{corner}",
+                    road_displacement=f"road_displacement_{corner}",
+                    road_velocity=f"road_velocity_{corner}",
+                    tyre_deflection=f"tyre_deflection_{corner}",
+                    behind=rigid_body.wheelbase if corner.startswith("rear") else nowhere_else,
+                    side=side,
+                    lateral=partial(lateral, side) if side else nowhere_else,
+                )
+                for corner, side in sides.items()
+            ),
+            linear_model=self.linear_model,
+            static_tyre_deflection=self.static_tyre_deflection,
+            write_mjcf=self.write_mjcf,
+            check_together=check,
+            combined=combined or {},
+            on_demand=self.on_demand,
+            loads=rigid_body.LOADS[: len(self.rates)],
+            wheel_loads=self.wheel_loads,
+            carried=self.carried,
+            angles=self.angles,
+            motion=self.motion,
+            lacking=lacking or {},
+        )
