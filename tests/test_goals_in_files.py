@@ -91,7 +91,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ("minimise = 3", "minimise = 3 is no table"),
+        ("minimise = 3", "minimise = 3 is not a table"),
         ("minimise = { band = [8.0, 4.0] }", "band = [8.0, 4.0] is not allowed"),
         ("minimise = { band = [4.0, inf] }", "minimise band = [4.0, inf] is not allowed; give two frequencies"),
         ('minimise = { signals = "speed" }', "unknown signal 'speed'"),

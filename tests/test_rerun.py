@@ -168,6 +168,12 @@ def test_few_plots_to_a_page(lifting: RunLog) -> None:
         assert {title.rstrip("0123") for title in titles} == set(names)
 
 
+def _range(plot: rrb.TimeSeriesView) -> tuple[float, float]:
+    axis: Any = plot.properties["ScalarAxis"]
+    (limits,) = axis.range.as_arrow_array().to_pylist()
+    return limits[0], limits[1]
+
+
 def test_every_plot_shows_its_curves_whole(lifting: RunLog) -> None:
     """The axis of every plot reaches beyond the least and the greatest value of its curves, or both sides of a constant."""
     for page in (_page(lifting, BLACK), _comparison([lifting, replace(lifting, name="other")])):
