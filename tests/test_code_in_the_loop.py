@@ -8,6 +8,10 @@ import shutil
 
 import numpy as np
 import pytest
+from sim.linear.rounding import rounding_effect
+from sim.studies.stability.exported_margins import find_exported_margins
+from synth.controller.export.rounding import SteadyRounding, steady_rounding
+from synth.vehicle.exported_numbers import numbers_object, numbers_rows
 
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
@@ -19,7 +23,6 @@ from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of, exported_lines
 from sim.inspect.__main__ import main as inspect
-from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
 from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.simulate import simulate
@@ -28,7 +31,6 @@ from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.stability.exported_margins import find_exported_margins
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.controller.controller import Controller, Driver, code_of
@@ -36,10 +38,8 @@ from synth.controller.export.c_law import PythonStep, exported_law, random_input
 from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.folder import is_law_of
-from synth.controller.export.rounding import SteadyRounding, steady_rounding
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
-from synth.vehicle.exported_numbers import numbers_object, numbers_rows
 from tests.commands import attacks, prose
 from tests.test_export import BUILT, LAW, needs_cc
 from tests.test_export import _given as given

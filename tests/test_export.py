@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synth.controller.sampled_margins import sampled_margins
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
@@ -25,7 +26,6 @@ from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.folder import CERTIFICATE, files
 from synth.controller.open_loop import LoopModel
-from synth.controller.sampled_margins import sampled_margins
 from tests.commands import attacks, prose
 
 COMPILER = shutil.which("cc")

@@ -9,6 +9,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from sim.linear.rounding import rounding_effect
+from synth.controller.export.rounding import steady_rounding
 
 from models.common.errors import InputError
 from models.roads.choice import choose_road
@@ -17,7 +19,6 @@ from models.roads.road import RoadInput
 from models.roads.spectrum import sources
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
 from sim.response.regime import LIFT_OFF
 from sim.runs.run import Run, run_controllers, sample_times
@@ -26,7 +27,6 @@ from sim.studies.ride.metrics import measure
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import exported_law
 from synth.controller.export.linear_system import loop_system
-from synth.controller.export.rounding import steady_rounding
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer

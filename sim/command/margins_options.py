@@ -1,14 +1,9 @@
 """Options of `sim.margins`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from models.common.command import Parser
-from sim.command.road_options import add_exported
 from sim.studies.stability import TIMESTEP
-
-if TYPE_CHECKING:
-    pass
 
 EPILOG = """
 errors [%]: every reading is off by a factor of its own, between 1 - error and
@@ -34,7 +29,6 @@ def parser() -> Parser:
         EPILOG,
     )
     parser.add_one("state, or one of the vehicle file's")
-    add_exported(parser)
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_argument(
         "--vary",

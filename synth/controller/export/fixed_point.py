@@ -45,13 +45,6 @@ class FixedPoint:
     shifts: Array
     limit: Array | None
 
-    @property
-    def held(self) -> Array:
-        """[D, C; B, A] as the whole coefficients have it, shape (m + k, q + k)."""
-        q, k = len(self.seen), len(self.kept)
-        out, of = np.concatenate([self.given, self.kept]), np.concatenate([self.seen, self.kept])
-        return self.rows[:, : q + k] * 0.5 ** self.shifts[:, None] * out[:, None] / of
-
 
 def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
     """Returns the sum over all samples and disturbances of |response|, of a stable loop, shape (r,).
