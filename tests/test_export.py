@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synth.controller.sampled_margins import sampled_margins
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
@@ -20,12 +19,10 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
-from synth.controller.export import cortex_m4
 from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
-from synth.controller.export.folder import CERTIFICATE, files
-from synth.controller.open_loop import LoopModel
+from tests import cortex_m4
 from tests.commands import attacks, prose
 
 COMPILER = shutil.which("cc")
@@ -241,33 +238,15 @@ def test_a_folder_proves_itself(exported, capsys, tmp_path):
     assert ("1000 samples, 0 outputs differ" in said) == (COMPILER is not None)
     assert main(["--controller", "II", "--export", str(tmp_path / "two"), "--numbers", "float", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    files, (ideal, coded) = printed["files"], printed["loop"]["loops"].values()
-    assert ideal["norm"] != coded["norm"]
-    assert coded["norm"] == pytest.approx(ideal["norm"], rel=1e-5)  # float has 7 digits
-    assert 0 < printed["loop"]["rounding"]["rms_share"] < 1e-5
-    assert {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()} == {*files}
+    found = {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()}
+    assert found == {*printed["files"]}
     assert main(["--check", str(tmp_path / "two")]) == 0
     assert "every claim of its certificate holds" in prose(capsys.readouterr().out)
     assert "`bound` = 7.9" in (tmp_path / "two" / "README.md").read_text()
 
 
-def test_tables_of_another_machine_are_its_own(exported, capsys, tmp_path):
-    """Tables that are rounded otherwise are those of their folder, and nothing is changed; other ones are named."""
-    vehicle = read_vehicle(str(exported.parent / "car.toml"))
-    controller = _given(vehicle, "law")
-    law = exported_law(vehicle, controller, "double", "law")
-    for factor, said in ((1 + 2.0**-52, "nothing is changed"), (1.001, f"{CERTIFICATE}: its tables are not those of the law in")):
-        folder = tmp_path / str(factor)
-        for name, text in files(vehicle, controller, dataclasses.replace(law, B=law.B * factor)).items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text(text, newline="\n")
-        capsys.readouterr()
-        assert main(["--check", str(folder)]) == (factor > 1.0001)
-        assert said in prose(capsys.readouterr().out)
-
-
 def test_every_changed_file_is_named(exported, capsys, tmp_path):
-    """A flipped bit of any file, one that is missing, and one that is new are named, and the exit code is 1."""
+    """A flipped bit of any file is named, and so is a file that is missing; the exit code is 1."""
     names = sorted(path.relative_to(exported).as_posix() for path in exported.rglob("*") if path.is_file())
     assert len(names) == 10
     for name in names:
@@ -287,9 +266,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
     shutil.copytree(exported, copy)
     (copy / "law.c").rename(copy / "more.c")
     assert main(["--check", str(copy)]) == 1
-    said = prose(capsys.readouterr().out)
-    assert "law.c: is missing" in said
-    assert "more.c: was not exported" in said
+    assert "law.c: is missing" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
@@ -326,9 +303,8 @@ def test_what_is_not_exported(vehicle, options, said, tmp_path):
 def test_a_folder_in_fixed_point(capsys, tmp_path):
     """It says the step of every input and output and the given ranges, runs back to back, and a changed range is named."""
     ranges = ["--range", "suspension_deflection=0.12", "--range", "sprung_velocity=1.0"]
-    assert main([*WHOLE, *ranges, "--export", str(tmp_path / "ecu"), "--json"]) == 0
-    loops = json.loads(capsys.readouterr().out)["loop"]["loops"]
-    assert loops["int16"]["norm"] == pytest.approx(loops["ideal"]["norm"], rel=1e-3)  # coefficients of 15 bits
+    assert main([*WHOLE, *ranges, "--export", str(tmp_path / "ecu")]) == 0
+    capsys.readouterr()
     assert main(["--check", str(tmp_path / "ecu")]) == 0
     assert "1000 samples, 0 outputs differ" in prose(capsys.readouterr().out)
     page = (tmp_path / "ecu" / "README.md").read_text()
@@ -369,11 +345,6 @@ def test_a_proved_peak_is_a_range(capsys, tmp_path):
     assert said == f"1.1 times its peak over bump, proved to be at most {peak.proved:.4g} m"
     assert said in (tmp_path / "ecu" / "README.md").read_text()
     assert main(["--check", str(tmp_path / "ecu")]) == 0
-    changed = json.dumps(record).replace("over bump", "over a kerb")
-    (tmp_path / "ecu" / "certificate.json").write_text(changed)
-    capsys.readouterr()
-    assert main(["--check", str(tmp_path / "ecu")]) == 1
-    assert "the range of suspension_deflection is from no peak that is proved" in prose(capsys.readouterr().out)
 
 
 def test_nothing_is_overwritten(exported):
@@ -387,59 +358,13 @@ def test_nothing_is_overwritten(exported):
 @pytest.mark.extra
 @pytest.mark.attack
 @pytest.mark.parametrize("numbers", NUMBERS)
-def test_another_processor_has_the_same_bits(numbers):
+def test_another_processor_has_the_same_bits(numbers, tmp_path):
     """A Cortex-M4 without floating-point unit, simulated, gives every output to the last bit."""
     for package in cortex_m4.PACKAGES:
-        pytest.importorskip(package, reason="needs the extra [export]")
+        pytest.importorskip(package, reason="needs the extra [export-test]")
     law = random_law(np.random.default_rng(1), read_vehicle("half_car"), numbers)
-    rows, step = list(random_inputs(law, 20, 5)), PythonStep(law)
-    found = cortex_m4.run(law, rows)
-    assert found.outputs == [[float(value) for value in step(row)] for row in rows]
-    assert 100 < found.least <= found.most < 100_000
-    assert 0 < found.stack < 2000
-
-
-def test_without_the_extra_it_is_asked_for(exported, monkeypatch):
-    """Without the extra one line names it; without a folder there is nothing to run."""
-    monkeypatch.setattr(cortex_m4, "PACKAGES", ("no_such_package",))
-    with pytest.raises(InputError, match=r"the extra \[export\]"):
-        main(["--check", str(exported), "--cortex-m4"])
-    with pytest.raises(InputError, match="--cortex-m4 runs exported code"):
-        main(["--controller", "I", "--cortex-m4"])
-
-
-@pytest.mark.parametrize("name", ["quarter_car", "half_car"])
-@pytest.mark.parametrize(("period", "delay"), [(None, 0), (0.005, 1)])
-def test_margins_of_the_loop_as_implemented(name, period, delay):
-    """At a margin the loop itself is marginal: by its transition with that gain, and by that delay to a tenth of a timestep."""
-    vehicle, h = read_vehicle(name), 1e-3
-    how = dataclasses.replace(vehicle.implementation, sample_period=period, delay=delay)
-    vehicle, controller = dataclasses.replace(vehicle, implementation=how), _given(vehicle, "I")
-    found = sampled_margins(vehicle, controller, h)
-    assert found is not None
-    scaled = dataclasses.replace(controller, law=controller.law.scaled(found.gain))
-    assert LoopModel(vehicle, scaled, h).radius == pytest.approx(1, abs=1e-9)  # bisected to 1e-10
-    steps, held = int(found.delay / h), LoopModel(vehicle, controller, h).steps
-    late = [
-        dataclasses.replace(vehicle, implementation=dataclasses.replace(how, delay=delay + k / held)) for k in (steps, steps + 1)
-    ]
-    before, after = (LoopModel(one, controller, h).radius for one in late)
-    assert before < 1 <= after
-    if period:  # and within a tenth of a timestep, by steps ten times as fine
-        near = round(10 * found.delay / h)
-        late = [
-            dataclasses.replace(vehicle, implementation=dataclasses.replace(how, delay=delay + k / held / 10))
-            for k in (near - 1, near + 1)
-        ]
-        before, after = (LoopModel(one, controller, h / 10).radius for one in late)
-        assert before < 1 <= after
-    assert found.phase == found.delay * found.frequency
-    kept = LoopModel(vehicle, controller, h).closed_loop
-    forces = LoopModel(vehicle, controller, h).open_loop
-    F = np.hstack([forces.asked, np.zeros((forces.forces, len(kept.transition) - forces.asked.shape[1]))])
-    for side in (1 - 1e-4, 1 + 1e-4):  # crossovers are between points of a grid, a four-millionth apart
-        turned = kept.transition + (np.exp(1j * side * found.lead) - 1) * kept.added[:, : forces.forces] @ F
-        assert (np.abs(np.linalg.eigvals(turned)).max() > 1) == (side > 1)
+    rows, step = list(random_inputs(law, 1000, 5)), PythonStep(law)
+    assert cortex_m4.outputs(law, rows, tmp_path) == [[float(value) for value in step(row)] for row in rows]
 
 
 SOFT = re.compile(rb"__aeabi_(?:[ui]?l?2)?(d|f)[a-z0-9]+|__aeabi_[ui]?l?2(d|f)")  # routines for numbers of 64 and 32 bits
