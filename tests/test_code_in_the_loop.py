@@ -23,8 +23,7 @@ from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
-from sim.runs.code_effect import code_line
-from sim.runs.report import verdict_lines
+from sim.runs.report import code_line, verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
@@ -127,7 +126,7 @@ def test_what_the_code_changes_is_measured(numbers):
     assert effect is not None
     for name in vehicle.linear_model.outputs:
         apart = np.abs(code[name] - ours[name])
-        assert (effect.peak[name], effect.rms[name]) == (apart.max(), pytest.approx(np.sqrt(np.mean(apart**2))))
+        assert (effect.peak(name), effect.rms(name)) == (apart.max(), pytest.approx(np.sqrt(np.mean(apart**2))))
     low, high = {"double": (0, 1e-9), "float": (1e-9, 1e-5), "int32": (1e-12, 1e-6), "int16": (1e-5, 1e-2)}[numbers]
     assert low <= effect.share < high
     assert run.passed

@@ -17,10 +17,11 @@ from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, LAW_OVERFLOW, REGIME_ENDS, reached
-from sim.runs.code_effect import code_line, code_table
 from sim.runs.report import (
     FEW,
     claims,
+    code_line,
+    code_table,
     controller_lines,
     energy_lines,
     joined_names,

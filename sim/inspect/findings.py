@@ -81,7 +81,7 @@ def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -
     for key, value in now.items():
         here = f"{path}.{key}" if path else key
         # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
-        near = SAME if key == "half_step" else absolute
+        near = SAME if key in ("half_step", "rounding") else absolute
         if key in said:
             yield from different(said[key], value, here, near)
         elif key not in SINCE:

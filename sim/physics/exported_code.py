@@ -38,8 +38,8 @@ class CodeInTheLoop:
         """Starts the code of N controllers, each of its own vehicle.
 
         Args:
-            timestep: of the runs [s].
-            dampers: of the vehicles, or None.
+            timestep: timestep of the runs [s].
+            dampers: adjustable dampers of the vehicles, or None.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.

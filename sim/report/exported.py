@@ -51,7 +51,8 @@ def _changes(run: Run) -> Table:
     """Returns the difference of every signal between the run with the code and the run with the law itself."""
     effect, kind, rows = run.prediction.code_effect, run.vehicle.kind, []
     assert effect is not None, "code drives the run"
-    for name, peak in effect.peak.items():
-        rows.append((name.replace("_", " "), kind.signal(name).unit, cell(effect.rms[name], ".2g"), cell(peak, ".2g")))
+    for name in effect.apart:
+        numbers = cell(effect.rms(name), ".2g"), cell(effect.peak(name), ".2g")
+        rows.append((name.replace("_", " "), kind.signal(name).unit, *numbers))
     caption = "Difference of MuJoCo's run with the code from its run with the law itself, over the same road."
     return Table("exported-rounding", caption, ("signal", "unit", "rms", "at most"), tuple(rows), words=2)

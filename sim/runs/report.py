@@ -28,7 +28,6 @@ from sim.response.regime import (
     departures,
 )
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
-from sim.runs.code_effect import agrees_line, code_effect_object, failure_lines
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver, has_anti_windup
@@ -112,9 +111,45 @@ def run_object(run: Run) -> dict[str, Any]:
         "steps": steps_object(agreement.steps),
         **_stops_object(run),
         **_dampers_object(run),
-        **code_effect_object(run),
+        **_code_object(run),
         **_margins_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def _code_object(run: Run) -> dict[str, Any]:
+    """Returns the effect of exported code for JSON; empty without such code."""
+    effect = run.prediction.code_effect
+    if effect is None:
+        return {}
+    return {"rounding": {name: {"rms": finite(effect.rms(name)), "most": finite(effect.peak(name))} for name in effect.apart}}
+
+
+def code_line(run: Run) -> str:
+    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
+    effect = run.prediction.code_effect
+    if effect is None:
+        return ""
+    line = f"compiled code in {effect.numbers} drives it"
+    if effect.clipped:
+        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
+    if not any(map(effect.peak, effect.apart)):
+        return f"{line}; its run is that of the law, to the last bit"
+    force = max(run.vehicle.linear_model.inputs, key=effect.peak)
+    return (
+        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
+        f"and any signal by {effect.share:.1e} of its peak at most"
+    )
+
+
+def code_table(run: Run) -> list[str]:
+    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
+    effect, kind = run.prediction.code_effect, run.vehicle.kind
+    if effect is None:
+        return []
+    rows = [
+        (f"{name} [{kind.signal(name).unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name in effect.apart
+    ]
+    return table([("code against law", "peak", "rms"), *rows])
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
@@ -390,7 +425,9 @@ def verdict_lines(run: Run) -> list[str]:
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and run.prediction.rounding_text:
-        lines.append(agrees_line(agreement.code_effect, when, _reference(run)))
+        assert agreement.code_effect is not None, "code drives the run"
+        law = f"the run with the law itself agrees with {_reference(run)}"
+        lines.append(f"agrees {when}: {law}, and {agreement.code_effect.agreement}")
     elif agreement.agrees and agreement.blurred:
         lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {noise} ({numbers})")
     elif agreement.agrees:
@@ -398,7 +435,9 @@ def verdict_lines(run: Run) -> list[str]:
     elif error.excess > 1:
         why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
         lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
-    return [*lines, *failure_lines(agreement.code_effect), *_no_geometry(agreement), *_step_lines(run)]
+    if agreement.code_effect is not None:
+        lines += agreement.code_effect.failures
+    return [*lines, *_no_geometry(agreement), *_step_lines(run)]
 
 
 def _no_geometry(agreement: Agreement) -> list[str]:

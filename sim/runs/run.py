@@ -21,7 +21,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
 from sim.runs.agreement import HALVED, PARTS, SMALL, Agreement, compare, foretell, halve_geometry, look_closer, with_geometry
-from sim.runs.code_effect import with_code_effect
+from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, ScaledPrediction, predict, predict_replayed, reference_at, with_scaled_noise
 from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.open_loop import LoopModel
@@ -321,8 +321,14 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: Sequence[Resp
         one if one.loop is not None else predict_replayed(one.controller, one.input, runs[k], forces[k])
         for k, one in enumerate(ours)
     ]
-    law_runs = dict(zip(coded, compare_runs(ours, runs, forces), strict=True))
-    return [with_code_effect(one, physics[i], law_runs[i]) if i in law_runs else one for i, one in enumerate(predictions)]
+    whole = list(predictions)
+    for i, law_run in zip(coded, compare_runs(ours, runs, forces), strict=True):
+        one, until = predictions[i], law_run.agreement.until
+        names = one.vehicle.linear_model.outputs
+        effect = code_effect(one.controller, physics[i], law_run.physics, names, until, law_run.agrees)
+        spread = {name: far + one.spread.get(name, 0.0) for name, far in effect.spread(len(one.time)).items()}
+        whole[i] = replace(one, spread=(one.spread if one.played else spread or one.spread), code_effect=effect)
+    return whole
 
 
 def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> list[Agreement]:

@@ -119,13 +119,13 @@ def driver_of(vehicle: Vehicle, name: str) -> Driver:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Says which files of an exported folder are not what was exported, and if its controller's certificate holds.
+    """Prints which files of an exported folder were changed, and whether its controller's certificate holds.
 
     Returns:
         0 if nothing is changed, every claim holds, and the code gives the outputs of the test vectors; else 1.
 
     Raises:
-        InputError: the folder is no exported controller.
+        InputError: the folder is not an exported controller.
     """
     found = read_folder(folder, driver_of)
     vehicle, law, failures = found.vehicle, found.law, list(found.failures)

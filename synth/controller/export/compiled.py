@@ -54,8 +54,8 @@ class ExportedCode:
 
     Attributes:
         law: the law, with the tables of the folder.
-        texts: of NAME.c, NAME.h and NAME_data.h, as they lie in the folder, by name.
-        sha256: of its manifest.
+        texts: texts of NAME.c, NAME.h and NAME_data.h, by name.
+        sha256: checksum of the folder's manifest.
     """
 
     law: ExportedLaw
@@ -64,7 +64,7 @@ class ExportedCode:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Numbers, prefix and ranges, by which the code is made again, and the checksum, as JSON has them."""
+        """Numbers, prefix and ranges, by which the code is made again, and the checksum, for JSON."""
         law, ranges = self.law, None
         if law.ranges is not None:
             ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
@@ -158,7 +158,7 @@ class CompiledController(Controller):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as JSON has them."""
+        """Name, signals, law and code for JSON."""
         return super().record | ({"code": self.code.record} if self.code is not None else {})
 
 
@@ -174,7 +174,7 @@ class CompiledSemiActive(SemiActive):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as JSON has them."""
+        """Name, signals, law and code for JSON."""
         return super().record | ({"code": self.code.record} if self.code is not None else {})
 
 
@@ -188,7 +188,7 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
     if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
         raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
     if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
-        raise InputError("the ranges of its exported code are no numbers above 0")
+        raise InputError("the ranges of its exported code must be numbers above 0")
     law = exported_law(vehicle, driver, numbers, name, ranges)
     source = source_of(law, "0" * 64)
     texts = {f"{name}.c": source.source(), f"{name}.h": source.header(), f"{name}_data.h": source.data()}

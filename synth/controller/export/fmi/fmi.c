@@ -120,6 +120,7 @@ typedef struct
 } instance;
 
 static const char OTHER[] = "this function is of the other kind of FMI: co-simulation or model exchange";
+static const char SIZE[] = "the number of continuous states is another";
 static const char NUMBERS[] = "every variable is one floating-point number; there are none of another type";
 
 /* Logs a line, and returns the status. */
@@ -151,11 +152,20 @@ static fmiNStatus refuse(fmiNInstance c, const char *why)
     return say(c, fmiNError, "%s", why);
 }
 
-/* Functions of model exchange are refused to other instances. */
-static fmiNStatus exchanging(fmiNInstance c)
+static bool exchanging(const void *c)
 {
-    return ((c != NULL) && ((const instance *)c)->exchange) ? fmiNOK : refuse(c, OTHER);
+    return (c != NULL) && ((const instance *)c)->exchange;
 }
+
+/* Refuses a call of the instance c unless a condition holds. */
+#define NEEDS(condition, why)                                                                                            \
+    do                                                                                                                   \
+    {                                                                                                                    \
+        if (!(condition))                                                                                                \
+        {                                                                                                                \
+            return refuse(c, why);                                                                                       \
+        }                                                                                                                \
+    } while (0)
 
 #define RETURNS(function, parameters, status)                                                                            \
     FMU_PUBLIC fmiNStatus function parameters                                                                            \
@@ -212,55 +222,43 @@ static double *variable(instance *one, fmiNValueReference r)
                                     : NULL;
 }
 
-static fmiNStatus initialize(instance *one, fmu_mode from, fmu_mode to)
+static fmiNStatus initialize(instance *c, fmu_mode from, fmu_mode to)
 {
-    if ((one == NULL) || (one->now.mode != from))
-    {
-        return refuse(one, "initialization begins after instantiation or reset, once, and then ends");
-    }
-    one->now.mode = to;
+    NEEDS((c != NULL) && (c->now.mode == from), "initialization begins after instantiation or reset, once, and then ends");
+    c->now.mode = to;
     return fmiNOK;
 }
 
-static fmiNStatus advance(instance *one, double time, double step)
+static fmiNStatus advance(instance *c, double time, double step)
 {
     int i;
     int faults;
     const double period = FMU_PERIOD;
 
-    if ((one == NULL) || one->exchange)
-    {
-        return refuse(one, OTHER);
-    }
-    if (one->now.mode != RUNNING)
-    {
-        return refuse(one, "a step needs an instance that is initialized and not terminated");
-    }
-    if (!(step > 0.0) || !isfinite(step) || !isfinite(time))
-    {
-        return refuse(one, "a step must be longer than 0 s, and finite");
-    }
+    NEEDS((c != NULL) && !c->exchange, OTHER);
+    NEEDS(c->now.mode == RUNNING, "a step needs an instance that is initialized and not terminated");
+    NEEDS((step > 0.0) && isfinite(step) && isfinite(time), "a step must be longer than 0 s, and finite");
     if ((period > 0.0) && !(fabs(step - period) <= ((NEAR * period) + (1e-14 * fabs(time)))))
     {
-        return say(one, fmiNDiscard, "a step of %.9g s is not the sample period of this law, %.9g s; step by that", step, period);
+        return say(c, fmiNDiscard, "a step of %.9g s is not the sample period of this law, %.9g s; step by that", step, period);
     }
-    if (!(fabs(time - one->now.time) <= ((0.001 * step) + (1e-12 * fabs(time)))))
+    if (!(fabs(time - c->now.time) <= ((0.001 * step) + (1e-12 * fabs(time)))))
     {
-        return say(one, fmiNError, "a step from %.9g s, and the last one ended at %.9g s; go on from there", time,
-                   one->now.time);
+        return say(c, fmiNError, "a step from %.9g s, and the last one ended at %.9g s; go on from there", time,
+                   c->now.time);
     }
     for (i = 0; i < FMU_INPUTS; i++)
     {
-        if ((FMU_STATES > 0) && !isfinite(one->now.model.u[i])) /* a sampled law holds its last finite input */
+        if ((FMU_STATES > 0) && !isfinite(c->now.model.u[i])) /* a sampled law holds its last finite input */
         {
-            return say(one, fmiNError, "input %s is not a finite number; the step was not done", fmu_inputs[i]);
+            return say(c, fmiNError, "input %s is not a finite number; the step was not done", fmu_inputs[i]);
         }
     }
-    faults = fmu_step(&one->now.model, step);
-    one->now.time = time + step;
+    faults = fmu_step(&c->now.model, step);
+    c->now.time = time + step;
     if (faults > 0)
     {
-        return say(one, fmiNWarning,
+        return say(c, fmiNWarning,
                    "%d value(s) were not finite at %.9g s; the step used the last finite input, or 0 for a sum that overflows",
                    faults, time);
     }
@@ -285,20 +283,14 @@ RETURNS(fmiNExitInitializationMode, (fmiNInstance c), initialize((instance *)c, 
 
 FMU_PUBLIC fmiNStatus fmiNTerminate(fmiNInstance c)
 {
-    if (c == NULL)
-    {
-        return fmiNError;
-    }
+    NEEDS(c != NULL, "there is no instance");
     ((instance *)c)->now.mode = ENDED;
     return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNReset(fmiNInstance c)
 {
-    if (c == NULL)
-    {
-        return fmiNError;
-    }
+    NEEDS(c != NULL, "there is no instance");
     restart((instance *)c);
     return fmiNOK;
 }
@@ -308,10 +300,7 @@ FMU_PUBLIC fmiNStatus fmiNGetFloat64(fmiNInstance c, const fmiNValueReference vr
     instance *one = (instance *)c;
     size_t i;
 
-    if ((one == NULL) || !FITS(room, count))
-    {
-        return refuse(c, NUMBERS);
-    }
+    NEEDS((c != NULL) && FITS(room, count), NUMBERS);
     fmu_update(&one->now.model);
     for (i = 0; i < count; i++)
     {
@@ -332,10 +321,7 @@ FMU_PUBLIC fmiNStatus fmiNSetFloat64(fmiNInstance c, const fmiNValueReference vr
     instance *one = (instance *)c;
     size_t i;
 
-    if ((one == NULL) || !FITS(room, count))
-    {
-        return refuse(c, NUMBERS);
-    }
+    NEEDS((c != NULL) && FITS(room, count), NUMBERS);
     for (i = 0; i < count; i++)
     {
         const bool state = (vr[i] >= FIRST_STATE) && (vr[i] < FIRST_DERIVATIVE) && (one->now.mode != ENDED);
@@ -356,29 +342,23 @@ FMU_PUBLIC fmiNStatus fmiNGetDirectionalDerivative(fmiNInstance c, const fmiNVal
     size_t i;
     size_t j;
 
-    if ((c == NULL) || (FMU_STATES == 0) || !FITS(seeds, columns) || !FITS(sensitivities, rows))
-    {
-        return refuse(c, "a sampled law has no directional derivatives; other variables are one number each");
-    }
+    NEEDS((c != NULL) && FITS(seeds, columns) && FITS(sensitivities, rows), NUMBERS);
+    NEEDS(FMU_STATES > 0, "a sampled law has no directional derivatives");
     for (i = 0; i < rows; i++)
     {
         const int unknown = (int)unknowns[i];
         const bool output = (unknown >= FIRST_OUTPUT) && (unknown < FIRST_STATE);
 
-        if (!output && ((unknown < FIRST_DERIVATIVE) || (unknown >= TIME)))
-        {
-            return refuse(c, "an unknown of directional derivatives is an output or a state's derivative");
-        }
+        NEEDS(output || ((unknown >= FIRST_DERIVATIVE) && (unknown < TIME)),
+              "an unknown of directional derivatives is an output or a state's derivative");
         sensitivity[i] = 0.0;
         for (j = 0; j < columns; j++)
         {
             const int known = (int)knowns[j];
             const bool input = (known >= 0) && (known < FMU_INPUTS);
 
-            if (!input && ((known < FIRST_STATE) || (known >= FIRST_DERIVATIVE)))
-            {
-                return refuse(c, "a known of directional derivatives is an input or a state");
-            }
+            NEEDS(input || ((known >= FIRST_STATE) && (known < FIRST_DERIVATIVE)),
+                  "a known of directional derivatives is an input or a state");
             sensitivity[i] += fmu_slope(unknown - (output ? FIRST_OUTPUT : FIRST_DERIVATIVE - FMU_OUTPUTS),
                                         known - (input ? 0 : FIRST_STATE - FMU_INPUTS))
                               * seed[j];
@@ -395,20 +375,14 @@ FMU_PUBLIC fmiNStatus fmiNGetFMUState(fmiNInstance c, fmiNFMUState *state)
     {
         *state = malloc(sizeof(content));
     }
-    if ((c == NULL) || (*state == NULL))
-    {
-        return refuse(c, "there is no memory for a copy of the state");
-    }
+    NEEDS((c != NULL) && (*state != NULL), "there is no memory for a copy of the state");
     memcpy(*state, &((instance *)c)->now, sizeof(content));
     return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNSetFMUState(fmiNInstance c, fmiNFMUState state)
 {
-    if ((c == NULL) || (state == NULL))
-    {
-        return refuse(c, "there is no copy of a state to restore");
-    }
+    NEEDS((c != NULL) && (state != NULL), "there is no copy of a state to restore");
     memcpy(&((instance *)c)->now, state, sizeof(content));
     return fmiNOK;
 }
@@ -431,20 +405,14 @@ FMU_PUBLIC fmiNStatus fmiNSerializedFMUStateSize(fmiNInstance c, fmiNFMUState st
 
 FMU_PUBLIC fmiNStatus fmiNSerializeFMUState(fmiNInstance c, fmiNFMUState state, fmiNByte bytes[], size_t size)
 {
-    if ((state == NULL) || (size < sizeof(content)))
-    {
-        return refuse(c, "there is no copy of a state, or no room for its bytes");
-    }
+    NEEDS((c != NULL) && (state != NULL) && (size >= sizeof(content)), "there is no copy of a state, or no room for its bytes");
     memcpy(bytes, state, sizeof(content));
-    return (c == NULL) ? fmiNError : fmiNOK;
+    return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNDeserializeFMUState(fmiNInstance c, const fmiNByte bytes[], size_t size, fmiNFMUState *state)
 {
-    if ((c == NULL) || (size != sizeof(content)))
-    {
-        return refuse(c, "these bytes are not a state of this FMU");
-    }
+    NEEDS((c != NULL) && (size == sizeof(content)), "these bytes are not a state of this FMU");
     *state = NULL;
     if (fmiNGetFMUState(c, state) == fmiNOK)
     {
@@ -455,72 +423,47 @@ FMU_PUBLIC fmiNStatus fmiNDeserializeFMUState(fmiNInstance c, const fmiNByte byt
 
 /* Model exchange. */
 
-RETURNS(fmiNEnterEventMode, (fmiNInstance c), exchanging(c))
-RETURNS(fmiNEnterContinuousTimeMode, (fmiNInstance c), exchanging(c))
+RETURNS(fmiNEnterEventMode, (fmiNInstance c), exchanging(c) ? fmiNOK : refuse(c, OTHER))
+RETURNS(fmiNEnterContinuousTimeMode, (fmiNInstance c), exchanging(c) ? fmiNOK : refuse(c, OTHER))
 
 FMU_PUBLIC fmiNStatus fmiNCompletedIntegratorStep(fmiNInstance c, fmiNBoolean no_set, fmiNBoolean *enter_event_mode,
                                                   fmiNBoolean *terminate)
 {
     *enter_event_mode = false;
     *terminate = false;
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 FMU_PUBLIC fmiNStatus fmiNSetTime(fmiNInstance c, fmiNFloat64 time)
 {
-    const fmiNStatus status = exchanging(c);
-
-    if (status == fmiNOK)
-    {
-        ((instance *)c)->now.time = time;
-    }
-    return status;
-}
-
-/* Refuses another number of states than there are. */
-static fmiNStatus states(fmiNInstance c, size_t count)
-{
-    const fmiNStatus status = exchanging(c);
-
-    if ((status == fmiNOK) && (count != (size_t)FMU_STATES))
-    {
-        return refuse(c, "the number of continuous states is another");
-    }
-    return status;
+    NEEDS(exchanging(c), OTHER);
+    ((instance *)c)->now.time = time;
+    return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNSetContinuousStates(fmiNInstance c, const fmiNFloat64 x[], size_t count)
 {
-    const fmiNStatus status = states(c, count);
-
-    if (status == fmiNOK)
-    {
-        memcpy(((instance *)c)->now.model.x, x, count * sizeof *x);
-    }
-    return status;
+    NEEDS(exchanging(c), OTHER);
+    NEEDS(count == (size_t)FMU_STATES, SIZE);
+    memcpy(((instance *)c)->now.model.x, x, count * sizeof *x);
+    return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNGetContinuousStates(fmiNInstance c, fmiNFloat64 x[], size_t count)
 {
-    const fmiNStatus status = states(c, count);
-
-    if (status == fmiNOK)
-    {
-        memcpy(x, ((instance *)c)->now.model.x, count * sizeof *x);
-    }
-    return status;
+    NEEDS(exchanging(c), OTHER);
+    NEEDS(count == (size_t)FMU_STATES, SIZE);
+    memcpy(x, ((instance *)c)->now.model.x, count * sizeof *x);
+    return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNGetContinuousStateDerivatives(fmiNInstance c, fmiNFloat64 derivatives[], size_t count)
 {
-    const fmiNStatus status = states(c, count);
-
-    if (status == fmiNOK)
-    {
-        fmu_update(&((instance *)c)->now.model);
-        memcpy(derivatives, ((instance *)c)->now.model.dx, count * sizeof *derivatives);
-    }
-    return status;
+    NEEDS(exchanging(c), OTHER);
+    NEEDS(count == (size_t)FMU_STATES, SIZE);
+    fmu_update(&((instance *)c)->now.model);
+    memcpy(derivatives, ((instance *)c)->now.model.dx, count * sizeof *derivatives);
+    return fmiNOK;
 }
 
 FMU_PUBLIC fmiNStatus fmiNGetNominalsOfContinuousStates(fmiNInstance c, fmiNFloat64 nominals[], size_t count)
@@ -531,11 +474,11 @@ FMU_PUBLIC fmiNStatus fmiNGetNominalsOfContinuousStates(fmiNInstance c, fmiNFloa
     {
         nominals[i] = 1.0;
     }
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 RETURNS(fmiNGetEventIndicators, (fmiNInstance c, fmiNFloat64 indicators[], size_t count),
-        (count == 0U) ? exchanging(c) : refuse(c, "there are no event indicators"))
+        (exchanging(c) && (count == 0U)) ? fmiNOK : refuse(c, "there are no event indicators"))
 
 #if FMI_VERSION == 2
 
@@ -559,10 +502,7 @@ FMU_PUBLIC fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2Str
 FMU_PUBLIC fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean with_tolerance, fmi2Real tolerance, fmi2Real start,
                                           fmi2Boolean with_stop, fmi2Real stop)
 {
-    if (c == NULL)
-    {
-        return fmi2Error;
-    }
+    NEEDS(c != NULL, "there is no instance");
     ((instance *)c)->now.time = start;
     return fmi2OK;
 }
@@ -581,25 +521,19 @@ FMU_PUBLIC fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, 
 FMU_PUBLIC fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
     memset(info, 0, sizeof *info);
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 FMU_PUBLIC fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
-    if ((c == NULL) || (kind != fmi2DoStepStatus))
-    {
-        return refuse(c, "fmi2GetStatus knows fmi2DoStepStatus alone");
-    }
+    NEEDS((c != NULL) && (kind == fmi2DoStepStatus), "fmi2GetStatus knows fmi2DoStepStatus alone");
     *value = ((const instance *)c)->last;
     return fmi2OK;
 }
 
 FMU_PUBLIC fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
 {
-    if ((c == NULL) || (kind != fmi2LastSuccessfulTime))
-    {
-        return refuse(c, "fmi2GetRealStatus knows fmi2LastSuccessfulTime alone");
-    }
+    NEEDS((c != NULL) && (kind == fmi2LastSuccessfulTime), "fmi2GetRealStatus knows fmi2LastSuccessfulTime alone");
     *value = ((const instance *)c)->now.time;
     return fmi2OK;
 }
@@ -704,19 +638,19 @@ FMU_PUBLIC fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *agai
     *values = false;
     *defined = false;
     *next = 0.0;
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 FMU_PUBLIC fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
 {
     *count = 0U;
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 FMU_PUBLIC fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
 {
     *count = (size_t)FMU_STATES;
-    return exchanging(c);
+    return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
 #define SOME fmi3Instance c, const fmi3ValueReference vr[], size_t count
@@ -752,7 +686,7 @@ NO_CLOCK(fmi3SetIntervalFraction, const fmi3UInt64 counters[], const fmi3UInt64 
 NO_CLOCK(fmi3SetShiftDecimal, const fmi3Float64 shifts[])
 NO_CLOCK(fmi3SetShiftFraction, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 
-RETURNS(fmi3EvaluateDiscreteStates, (fmi3Instance c), exchanging(c))
+RETURNS(fmi3EvaluateDiscreteStates, (fmi3Instance c), exchanging(c) ? fmi3OK : refuse(c, OTHER))
 RETURNS(fmi3EnterStepMode, (fmi3Instance c), refuse(c, "there is no event mode in this co-simulation"))
 RETURNS(fmi3EnterConfigurationMode, (fmi3Instance c), refuse(c, "there are no structural parameters"))
 RETURNS(fmi3ExitConfigurationMode, (fmi3Instance c), refuse(c, "there are no structural parameters"))
