@@ -63,7 +63,7 @@ def outputs(law: ExportedLaw, inputs: Sequence[Sequence[float]], folder: Path) -
 
 def _built(law: ExportedLaw, folder: Path) -> Path:
     """Returns the program: the law's functions, and one that makes many steps."""
-    source, p = source_of(law, "0" * 64), law.name
+    p = law.name
     entry = (
         f'#include "{p}.h"\n'
         f"void {p}_steps({p}_state *state, const {p}_in *in, {p}_out *out, int count);\n"
@@ -73,8 +73,7 @@ def _built(law: ExportedLaw, folder: Path) -> Path:
         f"{{(function){p}_init, (function){p}_steps}};\n"
         "void entry(void);\nvoid entry(void) { for (;;) { (void)kept[0]; } }\n"
     )
-    texts = {f"{p}.h": source.header(), f"{p}.c": source.source(), f"{p}_data.h": source.data(), "entry.c": entry}
-    for name, text in texts.items():
+    for name, text in {**source_of(law, "0" * 64).files, "entry.c": entry}.items():
         (folder / name).write_text(text)
     flags = ["-femit-bin=program.elf", "-cflags", "-std=c99", "-ffp-contract=off", "--", f"{p}.c", "entry.c"]
     subprocess.run([sys.executable, "-m", "ziglang", "build-exe", *TARGET.split(), *flags], cwd=folder, check=True)

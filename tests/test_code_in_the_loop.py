@@ -50,9 +50,7 @@ actuator_force = 150.0
 def coded(vehicle: Vehicle, driver: Driver, numbers: str, ranges: dict[str, float] | None = None) -> Driver:
     """Returns a controller that its exported code drives."""
     law = exported_law(vehicle, driver, numbers, "law", ranges)
-    source = source_of(law, "0" * 64)
-    texts = {"law.c": source.source(), "law.h": source.header(), "law_data.h": source.data()}
-    return driven_by(driver, ExportedCode(law, texts, numbers))
+    return driven_by(driver, ExportedCode(law, source_of(law, "0" * 64).files, numbers))
 
 
 def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
+from synth.controller.export.compiled import CompiledStep, ExportedCode
 from synth.controller.export.fixed_source import source_of
 from tests import cortex_m4
 from tests.commands import attacks, prose
@@ -55,35 +57,31 @@ SEEN = ("suspension_deflection", "sprung_velocity")
 SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
 
 
-def compiled(law: ExportedLaw, folder: Path) -> ctypes.CDLL:
-    """Returns the code of a law as a library, without a warning of the compiler's."""
-    source = source_of(law, "0" * 64)
-    for name, text in (
-        (f"{law.name}.h", source.header()),
-        (f"{law.name}.c", source.source()),
-        (f"{law.name}_data.h", source.data()),
-    ):
+def started(law: ExportedLaw, folder: Path) -> CompiledStep:
+    """Returns the code of a law at its start; a compiler that warns of much finds nothing in it."""
+    texts = source_of(law, "0" * 64).files
+    for name, text in texts.items():
         (folder / name).write_text(text)
-    library = folder / f"{law.name}.so"
-    command = [COMPILER, *FLAGS.split(), *STRICT.split(), "-shared", "-fPIC", str(folder / f"{law.name}.c"), "-o", str(library)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)  # pyright: ignore[reportArgumentType,reportCallIssue]
+    command = [str(COMPILER), *FLAGS.split(), *STRICT.split(), "-c", f"{law.name}.c"]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
-    return ctypes.CDLL(str(library))
+    return ExportedCode(law, texts, "").start()
+
+
+def stepped(code: CompiledStep, row: Sequence[float]) -> list[float]:
+    """Returns the outputs of the code for the inputs of a sample."""
+    code.seen[:] = row
+    code.step()
+    return code.given.tolist()
 
 
 def differing(law: ExportedLaw, folder: Path, samples: int) -> int:
     """Returns the number of outputs in which compiled code and Python differ in any bit."""
-    library, number = compiled(law, folder), cortex_m4.C_TYPES[law.numbers]
-    state = (ctypes.c_double * (law.states + law.delay * len(law.outputs) + 8))()
-    seen, given = (number * len(law.inputs))(), (number * len(law.outputs))()
-    step, python, wrong = getattr(library, f"{law.name}_step"), PythonStep(law), 0
-    getattr(library, f"{law.name}_init")(ctypes.byref(state))
+    code, python, wrong = started(law, folder), PythonStep(law), 0
     for k, row in enumerate(random_inputs(law, samples, 7)):
         if law.fixed is None and k % 20 == 19:
             row[k % len(row)] = (np.nan, np.inf, -np.inf, float(np.finfo(NUMBERS[law.numbers]).max))[k // 20 % 4]
-        seen[:] = row
-        step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
-        wrong += sum(float(ours) != theirs for ours, theirs in zip(python(row), given, strict=True))
+        wrong += sum(float(ours) != theirs for ours, theirs in zip(python(row), stepped(code, row), strict=True))
     return wrong
 
 
@@ -117,7 +115,7 @@ def test_a_sensor_that_fails_is_held(numbers, tmp_path):
     """NaN or infinity acts as the last finite input and is counted; after a spike that overflows forces are within the limit."""
     vehicle = parse_vehicle(TEXT.replace("[limits]", "delay = 1\n[limits]"))
     law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law")
-    library, number = compiled(law, tmp_path), cortex_m4.C_TYPES[numbers]
+    number = cortex_m4.C_TYPES[numbers]
 
     class State(ctypes.Structure):
         _fields_ = (
@@ -129,14 +127,9 @@ def test_a_sensor_that_fails_is_held(numbers, tmp_path):
         )
 
     def driven(rows: list[list[float]]) -> list[tuple[float, int]]:
-        state, seen, given = State(), (number * 2)(), (number * 1)()
-        library.law_init(ctypes.byref(state))
-        results = list[tuple[float, int]]()
-        for row in rows:
-            seen[:] = row
-            library.law_step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
-            results.append((given[0], state.faults))
-        return results
+        code = started(law, tmp_path)
+        state = State.from_buffer(code.state)
+        return [(stepped(code, row)[0], state.faults) for row in rows]
 
     broken = [[float("nan"), 0.1], [0.01, 0.2], [0.02, float("inf")], [float("nan"), float("-inf")], [0.03, -0.1]]
     held = [[0.0, 0.1], [0.01, 0.2], [0.02, 0.2], [0.02, 0.2], [0.03, -0.1]]
@@ -156,13 +149,11 @@ def test_whole_numbers_take_any_law(numbers, tmp_path):
     vehicle = parse_vehicle(text.replace("-4e9", "-40000.0") if numbers == "int16" else text)
     law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law", dict.fromkeys(SEEN, 0.01))
     assert law.fixed is not None
-    library, number = compiled(law, tmp_path), cortex_m4.C_TYPES[numbers]
-    state, seen, given, python = (ctypes.c_double * 8)(), (number * 2)(), (number * 1)(), PythonStep(law)
-    library.law_init(ctypes.byref(state))
+    code, python = started(law, tmp_path), PythonStep(law)
     for y in ([0.002, 0.004], [-0.004, 0.01], [0.0, -0.007], [1e9, 1e9], [-1e9, -1e9], [1e9, 0.0]):
-        seen[:] = [int(value) for value in np.clip(np.rint(y / law.fixed.seen), -law.fixed.largest - 1, law.fixed.largest)]
-        library.law_step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
-        assert [*python(list(seen))] == [*given]
+        seen = np.clip(np.rint(y / law.fixed.seen), -law.fixed.largest - 1, law.fixed.largest)
+        given = stepped(code, seen.tolist())
+        assert python(seen.tolist()) == given
         top = law.fixed.largest * law.fixed.seen
         ideal = float(np.clip(law.D[0] @ np.clip(y, -top, top), -500, 500))
         rounded = np.abs(law.D[0]) @ law.fixed.seen / 2 + law.fixed.given[0]  # of readings, then of the force and its limit
@@ -376,9 +367,7 @@ def test_an_arm_build_has_no_number_that_it_should_not(numbers, tmp_path):
     """Built for a processor without floating point, float needs no routine for double, and whole numbers need none at all."""
     pytest.importorskip("ziglang", reason="needs the extra [export]")
     law = random_law(np.random.default_rng(2), read_vehicle("quarter_car"), numbers)
-    source = source_of(law, "0" * 64)
-    texts = {f"{law.name}.c": source.source(), f"{law.name}.h": source.header(), f"{law.name}_data.h": source.data()}
-    for name, text in texts.items():
+    for name, text in source_of(law, "0" * 64).files.items():
         (tmp_path / name).write_text(text)
     target = (
         "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -std=c99 -O2 -ffp-contract=off -Wdouble-promotion -Werror"

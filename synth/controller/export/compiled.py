@@ -190,9 +190,7 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
     if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
         raise InputError("the ranges of its exported code must be numbers above 0")
     law = exported_law(vehicle, driver, numbers, name, ranges)
-    source = source_of(law, "0" * 64)
-    texts = {f"{name}.c": source.source(), f"{name}.h": source.header(), f"{name}_data.h": source.data()}
-    return ExportedCode(law, texts, str(record.get("manifest_sha256")))
+    return ExportedCode(law, source_of(law, "0" * 64).files, str(record.get("manifest_sha256")))
 
 
 def driven_by(driver: Driver, code: ExportedCode) -> Driver:

@@ -82,9 +82,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}    return model->law.faults;\n}}\n"
     )
     sources = {
-        f"{law.name}.h": code.header(),
-        f"{law.name}.c": code.source(),
-        f"{law.name}_data.h": code.data(),
+        **code.files,
         "fmu_model.c": own,
         "fmu_model.h": _head((len(inputs), m, 0), law.period, f'#include "{law.name}.h"\n\n', f"    {law.name}_state law;\n"),
     }

@@ -54,9 +54,7 @@ def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
     source = source_of(law, sha256(record))
     texts = {
-        f"{law.name}.h": source.header(),
-        f"{law.name}.c": source.source(),
-        f"{law.name}_data.h": source.data(),
+        **source.files,
         "CMakeLists.txt": source.cmake(),
         "test/main.c": source.main(),
         "test/vectors.csv": vectors(law),
