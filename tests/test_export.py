@@ -128,7 +128,7 @@ def test_a_sensor_that_fails_is_held(numbers, tmp_path):
 
     def driven(rows: list[list[float]]) -> list[tuple[float, int]]:
         code = started(law, tmp_path)
-        state = State.from_buffer(code.state)
+        state = State.from_address(code.state.ctypes.data)
         return [(stepped(code, row)[0], state.faults) for row in rows]
 
     broken = [[float("nan"), 0.1], [0.01, 0.2], [0.02, float("inf")], [float("nan"), float("-inf")], [0.03, -0.1]]
