@@ -163,10 +163,10 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert bump([*options, "--logs", str(tmp_path), "--json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert run["controller"]["code"]["numbers"] == numbers
-    force = run["rounding"]["control_force"]
-    assert 0 < force["rms"] < force["most"] < (1 if numbers == "float" else 1e-6)
+    force = run["code_difference"]["control_force"]
+    assert 0 < force["rms"] < force["peak"] < (1 if numbers == "float" else 1e-6)
     assert bump([*options, "--no-logs", "-v"]) == 0
-    assert f"control_force [N] {force['most']:.2g} {force['rms']:.2g}" in prose(capsys.readouterr().out)
+    assert f"control_force [N] {force['peak']:.2g} {force['rms']:.2g}" in prose(capsys.readouterr().out)
     assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert ("the run with the law itself agrees with the exact sampled response" in said) == (numbers == "float")

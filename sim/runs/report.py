@@ -121,7 +121,8 @@ def _code_object(run: Run) -> dict[str, Any]:
     effect = run.prediction.code_effect
     if effect is None:
         return {}
-    return {"rounding": {name: {"rms": finite(effect.rms(name)), "most": finite(effect.peak(name))} for name in effect.apart}}
+    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
+    return {"code_difference": apart}
 
 
 def code_line(run: Run) -> str:
