@@ -22,7 +22,8 @@ from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
-from sim.runs.report import code_line, verdict_lines
+from sim.runs.code_effect import code_line
+from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
@@ -132,7 +133,7 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16 make"), (0.01, "leaves its range on this road and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([code_line(run), *verdict_lines(run)]))
+        assert words in prose(" ".join([code_line(run.prediction.code_effect, vehicle), *verdict_lines(run)]))
 
 
 @pytest.fixture(scope="module")

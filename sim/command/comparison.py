@@ -17,11 +17,10 @@ from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, LAW_OVERFLOW, REGIME_ENDS, reached
+from sim.runs.code_effect import code_line, code_table
 from sim.runs.report import (
     FEW,
     claims,
-    code_line,
-    code_table,
     controller_lines,
     energy_lines,
     joined_names,
@@ -281,7 +280,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
             lines += warning_lines({run.controller.name: margins[run.controller.name]})
-        if code := code_line(run):
+        if code := code_line(run.prediction.code_effect, run.vehicle):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
         if alone or not run.passed:
@@ -359,10 +358,10 @@ def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
     table = run_lines(run, passive)
     return [
         *controller_lines(run.vehicle, run.controller),
-        *(f"  {line}" for line in filter(None, [code_line(run)])),
+        *(f"  {line}" for line in filter(None, [code_line(run.prediction.code_effect, run.vehicle)])),
         "",
         *table,
-        *code_table(run),
+        *code_table(run.prediction.code_effect, run.vehicle),
         "",
         *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
     ]

@@ -6,10 +6,13 @@ comparison of the code's own run with analysis allows for the measured differenc
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import finite, table
+from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Driver, code_of
 
@@ -96,3 +99,36 @@ def code_effect(
     ranges = [] if law.ranges is None else law.ranges
     clipped = tuple(name for name, most in zip(driver.measured, ranges, strict=False) if code.peak(name) > most)
     return CodeEffect(law.numbers, apart, shares[furthest], furthest, law_agrees, clipped)
+
+
+def code_object(effect: CodeEffect | None) -> dict[str, Any]:
+    """Returns the effect of exported code for JSON; empty without such code."""
+    if effect is None:
+        return {}
+    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
+    return {"code_difference": apart}
+
+
+def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
+    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
+    if effect is None:
+        return ""
+    line = f"compiled code in {effect.numbers} drives it"
+    if effect.clipped:
+        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
+    if not any(map(effect.peak, effect.apart)):
+        return f"{line}; its run is that of the law, to the last bit"
+    force = max(vehicle.linear_model.inputs, key=effect.peak)
+    return (
+        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
+        f"and any signal by {effect.share:.1e} of its peak at most"
+    )
+
+
+def code_table(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
+    if effect is None:
+        return []
+    units = {name: vehicle.kind.signal(name).unit for name in effect.apart}
+    rows = [(f"{name} [{unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name, unit in units.items()]
+    return table([("code against law", "peak", "rms"), *rows])

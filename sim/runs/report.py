@@ -28,6 +28,7 @@ from sim.response.regime import (
     departures,
 )
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
+from sim.runs.code_effect import code_object
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver, has_anti_windup
@@ -111,46 +112,9 @@ def run_object(run: Run) -> dict[str, Any]:
         "steps": steps_object(agreement.steps),
         **_stops_object(run),
         **_dampers_object(run),
-        **_code_object(run),
+        **code_object(run.prediction.code_effect),
         **_margins_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
-
-
-def _code_object(run: Run) -> dict[str, Any]:
-    """Returns the effect of exported code for JSON; empty without such code."""
-    effect = run.prediction.code_effect
-    if effect is None:
-        return {}
-    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
-    return {"code_difference": apart}
-
-
-def code_line(run: Run) -> str:
-    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
-    effect = run.prediction.code_effect
-    if effect is None:
-        return ""
-    line = f"compiled code in {effect.numbers} drives it"
-    if effect.clipped:
-        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
-    if not any(map(effect.peak, effect.apart)):
-        return f"{line}; its run is that of the law, to the last bit"
-    force = max(run.vehicle.linear_model.inputs, key=effect.peak)
-    return (
-        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
-        f"and any signal by {effect.share:.1e} of its peak at most"
-    )
-
-
-def code_table(run: Run) -> list[str]:
-    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
-    effect, kind = run.prediction.code_effect, run.vehicle.kind
-    if effect is None:
-        return []
-    rows = [
-        (f"{name} [{kind.signal(name).unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name in effect.apart
-    ]
-    return table([("code against law", "peak", "rms"), *rows])
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
