@@ -13,15 +13,7 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-SINCE = (
-    "until",
-    "steps",
-    "geometry",
-    "allowed",
-    "stops",
-    "margins",
-    "code_difference",
-)  # older logs of this format may lack these keys
+SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins", "code_difference")  # keys that older logs may lack
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
