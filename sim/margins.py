@@ -18,13 +18,10 @@ from models.common.printed import Stages, say, titled
 from sim.command.margins_options import late_run, parser
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
     from sim.studies.stability.margin_search import LoopMargins
     from synth.controller.controller import Controller
-    from synth.controller.export.compiled import CompiledController
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,24 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     variations = read_variations(vehicle, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
-    stage = Stages(
-        "design",
-        *["exported code"] * (options.exported is not None),
-        "margins",
-        "fragility",
-        "other vehicles",
-        "picture and logs",
-    )
+    stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
     stage("design")
     sample_times(vehicle, LONGEST, options.timestep)
     controller = _with_loop(vehicle, Designer(as_built, search=False).design(name), options.timestep)
     warn(vehicle, [controller])
-    coded, exported = _with_code(as_built, controller, options.exported), None
-    if coded is not None:
-        from sim.studies.stability.exported_margins import find_exported_margins
-
-        stage("exported code")
-        exported = find_exported_margins(at_rest(as_built), coded, options.timestep, stage)
     stage("margins")
     margins = find_margins(vehicle, controller, options.timestep, stage)
     stage("fragility")
@@ -95,36 +79,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = recorded(options, of_file, [controller.name], delayed, result)
     stage.end()
     if options.json:
-        code = {"exported": exported.record} if exported is not None else {}
-        print(json.dumps({**result, **code, **written(outputs), "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
         lines += margins_lines(vehicle, controller, margins, fragile, box, options.verbose)
-        lines += ["", *exported.lines(options.verbose)] if exported is not None else []
-        say(
-            [
-                *lines,
-                *written_lines(outputs),
-                *log_lines(logs),
-                "",
-                verdict(margins, fragile, box, exported is None or exported.agrees),
-            ]
-        )
-    agrees = fragile.agrees and all(one.agrees for one in margins.values()) and (exported is None or exported.agrees)
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(margins, fragile, box)])
+    agrees = fragile.agrees and all(one.agrees for one in margins.values())
     return 0 if agrees and (box is None or box.holds) else 1
-
-
-def _with_code(vehicle: "Vehicle", controller: "Controller", folder: "Path | None") -> "CompiledController | None":
-    """The controller, driven by the code of a folder; None without one."""
-    if folder is None:
-        return None
-    from sim.command.comparison import controllers_of
-    from synth.controller.export.compiled import CompiledController
-
-    (coded,) = controllers_of(vehicle, [controller.name], lambda name: controller, folder)
-    assert isinstance(coded, CompiledController), "it is linear"
-    return coded
 
 
 def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":

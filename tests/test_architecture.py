@@ -43,7 +43,7 @@ ROOMS = {
     "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
     "synth.vehicle": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "synth.design synth.lmi synth.plant",
-    "synth.command": "models models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
+    "synth.command": "models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
     "synth.plant synth.vehicle",
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is

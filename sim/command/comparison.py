@@ -17,10 +17,10 @@ from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, LAW_OVERFLOW, REGIME_ENDS, reached
+from sim.runs.code_effect import code_line, code_table
 from sim.runs.report import (
     FEW,
     claims,
-    code_line,
     controller_lines,
     energy_lines,
     joined_names,
@@ -28,7 +28,7 @@ from sim.runs.report import (
     verdict_lines,
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
-from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.controller import Controller, Driver
 from synth.controller.law_margins import law_margins, names_of_warnings, unstable_by_itself, warning_lines
 from synth.controller.open_loop import LoopModel
 
@@ -89,29 +89,6 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
     """Returns the requested controllers that are not driven as a JSON object; empty if all are."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
-
-
-def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
-    """Returns the effect of the numbers of exported code on its loop under `exported`; empty without such code.
-
-    See `synth.vehicle.exported_numbers.numbers_object`. A law that sets dampers has no such numbers.
-    """
-    for run in runs:
-        code, driver = code_of(run.controller), run.controller
-        if code is not None and isinstance(driver, Controller) and not code.law.dampers:
-            from synth.vehicle.exported_numbers import numbers_object
-
-            return {"exported": {"controller": driver.name, **numbers_object(vehicle, driver, code.law, timestep)}}
-    return {}
-
-
-def exported_lines(exported: Mapping[str, Any], full: bool) -> list[str]:
-    """Returns the same as lines of a table, or as a sentence; empty without."""
-    if not exported:
-        return []
-    from synth.vehicle.exported_numbers import numbers_lines
-
-    return ["", *numbers_lines(exported["exported"], full)]
 
 
 def warn(vehicle: Vehicle, controllers: Iterable[Driver]) -> None:
@@ -296,7 +273,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
             lines += warning_lines({run.controller.name: margins[run.controller.name]})
-        if code := code_line(run):
+        if code := code_line(run.prediction.code_effect, run.vehicle):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
         if alone or not run.passed:
@@ -374,9 +351,10 @@ def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
     table = run_lines(run, passive)
     return [
         *controller_lines(run.vehicle, run.controller),
-        *(f"  {line}" for line in filter(None, [code_line(run)])),
+        *(f"  {line}" for line in filter(None, [code_line(run.prediction.code_effect, run.vehicle)])),
         "",
         *table,
+        *code_table(run.prediction.code_effect, run.vehicle),
         "",
         *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
     ]

@@ -163,7 +163,6 @@ def drive(
         mine = measured.metrics[k : k + len(each.runs)] if measured else ()
         samples, k = measured.samples if measured else (0, None), k + len(each.runs)
         standings += comparison.standings_of(each.runs, beside, samples, mine, each.without, each.title)
-    exported = comparison.exported_object(driven[0].vehicle, runs, options.timestep)
     if options.json:
         step = _step_object(options, runs, steps) if rides else None
         print(
@@ -171,7 +170,6 @@ def drive(
                 {
                     **result,
                     **({"step": step} if rides else {}),
-                    **exported,
                     "compared": standings_object(standings),
                     **written(outputs),
                     "logs": logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)},
@@ -185,7 +183,6 @@ def drive(
         sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         lines += _above(options, driven, passive, measured, road, time)
-        lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         if steps and not options.brief:
             from sim.studies.ride.step_response import step_lines
 

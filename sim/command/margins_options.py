@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from models.common.command import Parser
-from sim.command.road_options import add_exported
 from sim.studies.stability import TIMESTEP
 
 EPILOG = """
@@ -30,7 +29,6 @@ def parser() -> Parser:
         EPILOG,
     )
     parser.add_one("state, or one of the vehicle file's")
-    add_exported(parser)
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_argument(
         "--vary",

@@ -13,7 +13,7 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins")  # older logs of this format may lack these keys
+SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins", "code_difference")  # keys that older logs may lack
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -81,7 +81,7 @@ def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -
     for key, value in now.items():
         here = f"{path}.{key}" if path else key
         # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
-        near = SAME if key == "half_step" else absolute
+        near = SAME if key in ("half_step", "code_difference") else absolute
         if key in said:
             yield from different(said[key], value, here, near)
         elif key not in SINCE:

@@ -247,9 +247,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         if coded:
             from sim.physics.exported_code import CodeInTheLoop
 
-            code = CodeInTheLoop(
-                controllers[runs], vehicles[runs], timestep, mine, int(np.diff(edges).max()) if going is None else 0
-            )
+            code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
         if not plain:
             how = [drivers.implementation_around(*one) for one in zip(controllers[runs], vehicles[runs], strict=True)]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup, whole, ahead)
@@ -268,7 +266,6 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
             *(sensors, stage, fresh, fresh and not course.accelerations),
             damped=code or setting,
-            in_c=None if code is None else code.in_c,
             lagging=mine is not None and mine.lags,
             held=max(periods) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,

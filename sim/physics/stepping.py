@@ -95,8 +95,6 @@ class Reading:
         fresh: True to evaluate sensors apart, with the road at the samples, so that accelerations are right.
         once: True to record from that evaluation, too: accelerations and forces are then those just before the sample.
         damped: setting of adjustable dampers, or None if all actuators push; the gain then has rows for its inputs.
-        in_c: begins a block of a single run whose actuators are set in C, from its readings and where its forces go; returns what
-            makes the next step. None otherwise.
         lagging: True to record the activations.
         held: number of steps for which commands are held, if there is no law beside the gains.
         ramps: input of every actuator that makes ramps of dampers' curves, shape (k,); these actuators are the last ones.
@@ -111,7 +109,6 @@ class Reading:
     fresh: bool
     once: bool
     damped: Setting | None = None
-    in_c: Callable[[Array, Array], Callable[[], None]] | None = None
     lagging: bool = False
     held: int = 1
     ramps: Array | None = None
@@ -225,7 +222,6 @@ def step_batch(
             acts = np.empty((length, *activations.shape))
         parts = (seen[..., :positions], seen[..., positions:moved], seen[..., moved:width])
         whole = (seen[:, 0], requested[:, 0]) if alone else (seen, requested)
-        set_next = None if reading.in_c is None else reading.in_c(whole[1], acting)
         rows: Any = zip(*whole, *parts, roads, sensed[1:], strict=True)
         for k, (all_seen, forces, positions_now, velocities_now, sensing, road, result) in enumerate(rows, start):
             if stopped():
@@ -256,9 +252,7 @@ def step_batch(
                 forces[...] = law(k, all_seen[:, :width])
                 if kept:
                     all_seen[:, width:] = law.used
-            if set_next is not None:
-                set_next()
-            elif damped is not None and law is None:
+            if damped is not None and law is None:
                 damped.set(forces, acting)
             else:
                 acting[...] = forces if m == commands else forces[:, :m]

@@ -33,6 +33,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
+from sim.runs.code_effect import CodeEffect
 from sim.runs.prediction import Prediction, ScaledPrediction
 from sim.runs.steps import StepAgreement, compare_steps, from_steady, left_over, motion_of
 from synth.controller.controller import Controller, has_anti_windup
@@ -119,9 +120,10 @@ class Agreement(Shown):
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
             does not end it. A state that the vehicle's exact equations do not take does.
-        blurred: True if measurements are noisy or quantised, or exported code rounds: then differences up to the predicted
-            spread are allowed.
-        steps: comparison of single steps with the vehicle's exact equations, also after `until`; None without such equations.
+        blurred: True if measurements are noisy or quantised, or exported code rounds: then differences up to their spread are
+            allowed.
+        steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
+        code_effect: difference of exported code from the law, which must be small; None without such code.
     """
 
     signals: Mapping[str, SignalAgreement]
@@ -130,6 +132,7 @@ class Agreement(Shown):
     until: float
     blurred: bool = False
     steps: StepAgreement | None = None
+    code_effect: CodeEffect | None = None
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
@@ -149,7 +152,8 @@ class Agreement(Shown):
     @property
     def agrees(self) -> bool:
         """Returns True if every signal agrees while the comparison applies, and every step; False if it never applies."""
-        return self.until > 0 and self.step_by_step and all(signal.agrees for signal in self.signals.values())
+        coded = self.code_effect is None or self.code_effect.holds
+        return self.until > 0 and self.step_by_step and coded and all(signal.agrees for signal in self.signals.values())
 
     @property
     def lost(self) -> bool:
@@ -199,7 +203,7 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
             rounding=rounded / scale,
             scale=scale,
         )
-    return Agreement(signals, lift_off, ended, until, blurred=bool(spread), steps=steps)
+    return Agreement(signals, lift_off, ended, until, blurred=bool(spread), steps=steps, code_effect=prediction.code_effect)
 
 
 def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) -> float:

@@ -27,8 +27,8 @@ from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
-    from sim.linear.rounding import RoundingEffect
     from sim.linear.switched_response import DecisionMismatch, Switched
+    from sim.runs.code_effect import CodeEffect
 
 
 SIGMAS = 6.0  # deviations of noise: thousands of samples stay within them
@@ -46,8 +46,8 @@ class Prediction:
         sampled: exact response of the sampled loop: linear, except for curves.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
-        spread: largest effect of measurement noise (in `SIGMAS` deviations), quantisation and the rounding of exported code on
-            each output signal, at every sample, shape (T,); empty without them.
+        spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, with the
+            measured effect of exported code, at every sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
         requested_force: requests of a law in Python, shape (T, m): forces [N], or with adjustable dampers the commands,
             shape (T, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`; empty for a linear controller, which
@@ -55,7 +55,7 @@ class Prediction:
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
         played: True if they follow all decisions of physics, because of noisy measurements or a law in Python.
         loop: the linear loop, or None.
-        rounding: effect of the rounding of exported code in other numbers than double, which is in `spread`, or None.
+        code_effect: measured difference of exported code from the law, or None without such code.
     """
 
     input: RoadInput
@@ -69,7 +69,7 @@ class Prediction:
     otherwise: "tuple[DecisionMismatch, ...]" = ()
     played: bool = False
     loop: LoopModel | None = None
-    rounding: "RoundingEffect | None" = None
+    code_effect: "CodeEffect | None" = None
 
     @property
     def vehicle(self) -> Vehicle:
@@ -93,9 +93,14 @@ class Prediction:
 
     @property
     def blur_text(self) -> str:
-        """Names of the sources of `spread`; empty without any."""
-        noise, code = self.vehicle.implementation.noise_text, code_of(self.controller)
-        return " and ".join(filter(None, [noise, f"rounding to {code.law.numbers}" if self.rounding and code else ""]))
+        """Names of what `spread` is of; empty without any."""
+        return " and ".join(filter(None, [self.vehicle.implementation.noise_text, self.rounding_text]))
+
+    @property
+    def rounding_text(self) -> str:
+        """Returns the numbers to which exported code rounds; empty without code, or in double."""
+        code = code_of(self.controller)
+        return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
 def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> Prediction:
@@ -116,22 +121,15 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
             f"the spread of its {vehicle.implementation.noise_text} is not computed: its loop has too many delayed forces"
         )
     sampled = sampled_response(loop, road)
-    spread, rounding, code = _spread(loop, len(road.time)) if noisy else {}, None, code_of(loop.controller)
-    if code is not None and code.law.numbers != "double":
-        from sim.linear.rounding import rounding_effect
-
-        rounding = rounding_effect(loop, code.law, sampled)
-        spread = {name: most + spread.get(name, 0.0) for name, most in rounding.most.items()}
     return Prediction(
         input=road,
         controller=loop.controller,
         sampled=sampled,
         integrated=sampled_response(loop, road, exponential=taylor4),
         continuous=continuous_response(loop, road),
-        spread=spread,
+        spread=_spread(loop, len(road.time)) if noisy else {},
         radius=loop.radius if small else math.nan,
         loop=loop,
-        rounding=rounding,
     )
 
 

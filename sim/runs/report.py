@@ -28,9 +28,10 @@ from sim.response.regime import (
     departures,
 )
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
+from sim.runs.code_effect import code_object
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver, code_of, has_anti_windup
+from synth.controller.controller import Controller, Driver, has_anti_windup
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
@@ -111,32 +112,9 @@ def run_object(run: Run) -> dict[str, Any]:
         "steps": steps_object(agreement.steps),
         **_stops_object(run),
         **_dampers_object(run),
-        **rounding_object(run),
+        **code_object(run.prediction.code_effect),
         **_margins_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
-
-
-def rounding_object(run: Run) -> dict[str, Any]:
-    """Returns the predicted effect of the rounding of exported code as a JSON object; empty without."""
-    effect = run.prediction.rounding
-    if effect is None:
-        return {}
-    return {"rounding": {name: {"rms": finite(rms), "most": finite(effect.most[name].max())} for name, rms in effect.rms.items()}}
-
-
-def code_line(run: Run) -> str:
-    """Returns a sentence on the exported code that drives a run and what its rounding does to the forces; empty without."""
-    code, effect = code_of(run.controller), run.prediction.rounding
-    if code is None:
-        return ""
-    line = f"compiled code in {code.law.numbers} drives it"
-    forces = [name for name in run.vehicle.linear_model.inputs if effect and name in effect.rms]
-    if effect is None or not forces:
-        return line
-    rms, most = max(effect.rms[name] for name in forces), max(float(effect.most[name].max()) for name in forces)
-    if effect.beyond:
-        return f"{line}; {effect.beyond[0]} leaves its range on this road and is clipped there: export with a larger --range"
-    return f"{line}; rounding is predicted to move a force by {rms:.2g} N rms, and by {most:.2g} N at most"
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
@@ -344,6 +322,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 def verdict_lines(run: Run) -> list[str]:
     """Returns the verdict on physics against analysis in sentences."""
     agreement, blur, lines = run.agreement, run.prediction.blur_text, []
+    noise = run.vehicle.implementation.noise_text
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
@@ -406,22 +385,26 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
         error = agreement.signals[worst]
-        geometry, with_it, is_it = ("geometry makes", "", f"follows {_reference(run)} to")
-        if agreement.blurred:
-            geometry, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
+        geometry = f"geometry and {blur} make" if agreement.blurred else "geometry makes"
+        with_it, is_it = (f" and {noise}", "is within") if noise else ("", f"follows {_reference(run)} to")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
             f"agrees to first order {when}: {geometry} up to {off:.1e} of a peak ({worst}); at "
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
+    elif agreement.agrees and run.prediction.rounding_text:
+        assert agreement.code_effect is not None, "code drives the run"
+        law = f"the run with the law itself agrees with {_reference(run)}"
+        lines.append(f"agrees {when}: {law}, and {agreement.code_effect.agreement}")
     elif agreement.agrees and agreement.blurred:
-        of = f"measurements' {blur}" if run.vehicle.implementation.noise_text else blur
-        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its {of} ({numbers})")
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {noise} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     elif error.excess > 1:
         why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
         lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
+    if agreement.code_effect is not None:
+        lines += agreement.code_effect.failures
     return [*lines, *_no_geometry(agreement), *_step_lines(run)]
 
 

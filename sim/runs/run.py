@@ -21,8 +21,9 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
 from sim.runs.agreement import HALVED, PARTS, SMALL, Agreement, compare, foretell, halve_geometry, look_closer, with_geometry
+from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, ScaledPrediction, predict, predict_replayed, reference_at, with_scaled_noise
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
@@ -285,10 +286,13 @@ def compare_runs(
 ) -> list[Run]:
     """Compares the physics of some runs, new or from a log, with their predictions.
 
+    A run with exported code is also compared with the run of the law itself, which is made here.
+
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
         requested_force: their controllers' requests, see `PhysicsRuns`; None if they are not known.
     """
+    predictions = _with_code_effects(predictions, physics)
     requests = [None] * len(predictions) if requested_force is None else list(requested_force)
     triples = zip(predictions, physics, requests, strict=True)
     runs = [Run(prediction, response, compare(prediction, response, forces)) for prediction, response, forces in triples]
@@ -301,6 +305,30 @@ def compare_runs(
     for i, agreement in zip(doubtful, closer, strict=True):
         runs[i] = replace(runs[i], agreement=agreement)
     return runs
+
+
+def _with_code_effects(predictions: Sequence[Prediction], physics: Sequence[Response]) -> Sequence[Prediction]:
+    """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
+    coded = [i for i, one in enumerate(predictions) if code_of(one.controller) is not None]
+    if not coded:
+        return predictions
+    from synth.controller.export.compiled import without_code
+
+    ours = [replace(predictions[i], controller=without_code(predictions[i].controller)) for i in coded]
+    made = simulate([one.controller for one in ours], [one.input for one in ours])
+    runs, forces = [made.run(k) for k in range(len(ours))], made.requested_force
+    ours = [
+        one if one.loop is not None else predict_replayed(one.controller, one.input, runs[k], forces[k])
+        for k, one in enumerate(ours)
+    ]
+    whole = list(predictions)
+    for i, law_run in zip(coded, compare_runs(ours, runs, forces), strict=True):
+        one, until = predictions[i], law_run.agreement.until
+        names = one.vehicle.linear_model.outputs
+        effect = code_effect(one.controller, physics[i], law_run.physics, names, until, law_run.agrees)
+        spread = {name: far + one.spread.get(name, 0.0) for name, far in effect.spread(len(one.time)).items()}
+        whole[i] = replace(one, spread=(one.spread if one.played else spread or one.spread), code_effect=effect)
+    return whole
 
 
 def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> list[Agreement]:
@@ -372,7 +400,8 @@ def _simulated(
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is replayed.
+    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is
+    replayed. Over a share of the road, a law drives without its exported code, whose rounding is of no height.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -388,7 +417,11 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         share: factor on the forces of a law in Python.
     """
     if not isinstance(prediction.controller, Programmed):
-        return prediction.controller
+        if share == 1 or code_of(prediction.controller) is None:
+            return prediction.controller
+        from synth.controller.export.compiled import without_code
+
+        return without_code(prediction.controller)
     steps = round(prediction.timestep / float(time[1]))
     from sim.linear.dampers import scaled_commands
     from sim.physics.drivers import RecordedForces

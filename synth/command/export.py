@@ -8,7 +8,6 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from models import USUAL_TIMESTEP
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import made_folder
@@ -16,14 +15,12 @@ from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.command.save import SUFFIX, saved_text
 from synth.controller.controller import Controller, Driver, check_feedback_alone
-from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
+from synth.controller.export.c_law import c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
-from synth.controller.export.folder import SEED, VEHICLE, files, read_folder
+from synth.controller.export.folder import VEHICLE, files, read_folder
 from synth.vehicle.designer import Designer
-from synth.vehicle.exported_numbers import numbers_lines, numbers_object
 
-FEW = 1000  # samples on a simulated processor
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 
 
@@ -45,7 +42,6 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix, _ranges(options.ranges))
     texts = files(saved, driver, law)
-    about = numbers_object(saved, driver, law, USUAL_TIMESTEP) if isinstance(driver, Controller) and not law.dampers else None
     with (
         made_folder(folder.parent, "export"),
         tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
@@ -60,14 +56,13 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         whole.rename(folder)
     if options.json:
         found = {"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]}
-        print(json.dumps({**found, "loop": about}, allow_nan=False))
+        print(json.dumps(found, allow_nan=False))
         return 0
     say(
         [
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
-            *([*numbers_lines(about, options.verbose), ""] if about is not None else []),
             f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
@@ -124,13 +119,13 @@ def driver_of(vehicle: Vehicle, name: str) -> Driver:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Says which files of an exported folder are not what was exported, and if its controller's certificate holds.
+    """Prints which files of an exported folder were changed, and whether its controller's certificate holds.
 
     Returns:
         0 if nothing is changed, every claim holds, and the code gives the outputs of the test vectors; else 1.
 
     Raises:
-        InputError: the folder is no exported controller.
+        InputError: the folder is not an exported controller.
     """
     found = read_folder(folder, driver_of)
     vehicle, law, failures = found.vehicle, found.law, list(found.failures)
@@ -138,10 +133,6 @@ def check_folder(folder: Path, options: Namespace) -> int:
     claims = _claims(vehicle, name)
     ran, same = _back_to_back(folder, prefix) if not failures else ("the code was not run", True)
     failures += [] if same else [ran]
-    if options.cortex_m4:
-        elsewhere, same = _on_cortex_m4(law)
-        ran = f"{ran}; {elsewhere}"
-        failures += [] if same else [elsewhere]
     verdict = f"NOT AS EXPORTED: {'; '.join(failures)}" if failures else "nothing is changed"
     verdict += "" if isinstance(claims, str) else f"; ITS CLAIMS FAIL: {'; '.join(claims)}"
     failures += [] if isinstance(claims, str) else claims
@@ -158,17 +149,6 @@ def check_folder(folder: Path, options: Namespace) -> int:
             ]
         )
     return 1 if failures else 0
-
-
-def _on_cortex_m4(law: ExportedLaw) -> tuple[str, bool]:
-    """Returns what a simulated Cortex-M4 makes of random samples, and False if it is not what this machine makes of them."""
-    from synth.controller.export.cortex_m4 import run
-
-    samples, step = list(random_inputs(law, FEW, SEED)), PythonStep(law)
-    found = run(law, samples)
-    differ = sum([float(value) for value in step(row)] != given for row, given in zip(samples, found.outputs, strict=True))
-    counts = f"{found.least} to {found.most} instructions a step, {found.stack} bytes of stack, {found.size} of code and tables"
-    return f"Cortex-M4: {FEW} samples, {differ} differ; {counts}", differ == 0
 
 
 def _claims(vehicle: Vehicle, name: str) -> str | list[str]:

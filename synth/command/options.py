@@ -62,8 +62,6 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
             "--export writes one controller; it goes with --controller, --vehicle, --numbers, --range, --part, --fmi and --json "
             "only"
         )
-    if options.cortex_m4 and not (options.check is not None and options.check.is_dir()):
-        raise InputError("--cortex-m4 runs exported code; give its folder with --check, or leave it out")
     if options.ranges and options.numbers not in ("int32", "int16"):
         raise InputError("--range is of whole numbers; give --export with --numbers int32 or int16, or leave it out")
     if options.export is None and "numbers" in options.given:
@@ -113,11 +111,6 @@ def _parser() -> Parser:
         type=Path,
         metavar="FILE",
         help="verify the gains of a vehicle file and their certificates, or a folder of --export, file by file",
-    )
-    parser.add_argument(
-        "--cortex-m4",
-        action="store_true",
-        help="with --check of a folder: also run the code on a simulated Cortex-M4; needs the extra [export], takes a minute",
     )
     parser.add_argument(
         "--export",

@@ -23,7 +23,7 @@ import pytest
 
 from models.laws.linear import LinearLaw
 from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
-from models.roads.road import Bump, RoadInput
+from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -34,7 +34,6 @@ from sim.campaign.plan import FEWEST, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
 from sim.physics import RUNS_AT_ONCE
-from sim.physics.simulate import simulate as physics
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import validity
 from synth.analysis.norm import hinf_norm
@@ -54,7 +53,6 @@ from tests.analysed import simulate
 from tests.benchmarks.pairs import paired_ratio, summed_ratio
 from tests.benchmarks.states import chain
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
-from tests.test_code_in_the_loop import coded
 
 
 def native_steps(model: mujoco.MjModel, threads: int) -> Callable[[int], None]:
@@ -107,16 +105,6 @@ def test_closed_loop(benchmark, name, runs, samples, claim):
         7,
         claim,
     )
-
-
-@pytest.mark.parametrize("numbers", ["double", "float", "int16"])
-def test_compiled_code(benchmark, numbers):
-    """A run of 5 s with exported code takes at most a tenth more than one with our own static law: 7 % were measured."""
-    vehicle, time_ = read_vehicle("quarter_car"), np.arange(5001) * 1e-3
-    driver = Designer(vehicle).design("I")
-    code = coded(vehicle, driver, numbers, {"suspension_deflection": 0.2, "sprung_velocity": 2.0})
-    road = RoadInput(vehicle, Bump(), time_)
-    paired_ratio(benchmark, lambda: physics([code], [road]), lambda: physics([driver], [road]), 40, 1.1, time.process_time)
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])

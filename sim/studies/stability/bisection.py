@@ -26,7 +26,6 @@ class Bisection:
         most: the largest amount to try then.
         step: amounts are its multiples; 0 where they are real numbers.
         tried: amount -> what became of it. Zero is taken to decay: that is the loop as it is.
-        width: relative; how far a real number is narrowed down.
     """
 
     trial: Callable[[float], Trial]
@@ -34,7 +33,6 @@ class Bisection:
     most: float
     step: float = 0.0
     tried: dict[float, Growth] = field(default_factory=dict)
-    width: float = GAIN_WIDTH
 
     @property
     def stable(self) -> float:
@@ -60,7 +58,7 @@ class Bisection:
         """The amounts to try next; none where the answer is known."""
         if math.isinf(self.expected) and not self.tried:
             return self._multiples(np.geomspace(self.step or self.most / 32, self.most, 4)[1:].tolist())
-        narrow = self.step * 1.5 if self.step else self.width * self.unstable
+        narrow = self.step * 1.5 if self.step else GAIN_WIDTH * self.unstable
         if math.isfinite(self.unstable) and self.unstable - self.stable <= narrow:
             return []
         if math.isfinite(self.expected):
@@ -78,7 +76,7 @@ class Bisection:
         if self.step:
             below = math.floor(self.expected / self.step)
             return self._multiples([below * self.step, (below + 1) * self.step])
-        near = self.width / 2.1 * self.expected
+        near = GAIN_WIDTH / 2.1 * self.expected
         return self._multiples([self.expected - near, self.expected + near])
 
     def _multiples(self, amounts: Sequence[float]) -> list[float]:

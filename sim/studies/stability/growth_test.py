@@ -55,15 +55,11 @@ class Trial:
         vehicle: vehicle with its implementation of the controller.
         controller: the controller.
         undelayed: second controller, whose forces act at every timestep without delay, or None.
-        height: height of the bump [m].
-        gone: share of the bump's energy below which it cannot be detected.
     """
 
     vehicle: Vehicle
     controller: Controller
     undelayed: Controller | None = None
-    height: float = BUMP.height
-    gone: float = GONE
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
     time = np.arange(round(duration / timestep) + 1) * timestep
     vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller.feedback for trial in trials]
     undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
-    inputs = met_alike([RoadInput(trial.vehicle, replace(BUMP, height=trial.height), time) for trial in trials])
+    inputs = met_alike([RoadInput(trial.vehicle, BUMP, time) for trial in trials])
     now, midway = (np.stack([getattr(each, what) for each in inputs], axis=1) for what in ("heights", "midway"))
     ends = [1 + round(at / timestep) for at in (SOON, *(SHORTEST * k for k in range(1, round(duration / SHORTEST) + 1)))]
     doubled = [SOON * 2**k for k in range(1 + round(math.log2(LONGEST / SOON)))]
@@ -246,11 +242,11 @@ def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float,
     if trial.controller.law.states:
         slowest = min(abs(rate), math.inf if loop is None else abs(loop.rate))
         enough = max(enough, min(CREEPS / slowest, LONGEST) if slowest else LONGEST)
-    elif _still(states, round(STILL * _hold(trial, timestep) / timestep), trial.gone):
+    elif _still(states, round(STILL * _hold(trial, timestep) / timestep)):
         enough = duration
     if _escaped(states):
         return Growth(True, rate)
-    grows = _grows(states, rate, trial.gone, last=duration >= max(LONGEST, enough))
+    grows = _grows(states, rate, last=duration >= max(LONGEST, enough))
     # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that, if the loop grows, too.
     sure = duration >= enough or (grows is True and not math.isnan(rate) and (loop is None or loop.rate > 0))
     return Growth(grows, rate) if grows is not None and sure else None
@@ -299,12 +295,12 @@ def _rate(states: Array, timestep: float, hold: int) -> float:
     return slowest_rate(free[:, : int(far.argmax())] if far.any() else free, timestep, hold)
 
 
-def _still(states: Array, samples: int, gone: float) -> bool:
+def _still(states: Array, samples: int) -> bool:
     """Returns whether nothing of a run is left over its last so many samples, and over its last quarter."""
     length = states.shape[-1] // 4
     with np.errstate(over="ignore"):
         energy = (states**2).sum(axis=0)
-    return bool(energy[-max(length, samples) :].max() <= gone * energy[:length].max())
+    return bool(energy[-max(length, samples) :].max() <= GONE * energy[:length].max())
 
 
 def _escaped(states: Array) -> bool:
@@ -315,7 +311,7 @@ def _escaped(states: Array) -> bool:
     return not np.all(np.isfinite(energy)) or bool(energy[-length:].max() > ESCAPED * energy[:length].max())
 
 
-def _grows(states: Array, rate: float, gone: float, last: bool) -> bool | None:
+def _grows(states: Array, rate: float, last: bool) -> bool | None:
     """Returns True if a run grows, False if it decays, or None if it has not settled yet.
 
     The test compares its energy in three windows, without the first quarter. A Hann window suppresses the oscillation within it,
@@ -327,11 +323,10 @@ def _grows(states: Array, rate: float, gone: float, last: bool) -> bool | None:
     """
     length = states.shape[-1] // 4
     energy = (states**2).sum(axis=0)
-    faint, hann = gone > GONE, _hann(length)
-    gone *= energy[:length].max()
+    gone, hann = GONE * energy[:length].max(), _hann(length)
     first, second, third = _windows(states)
-    if third <= gone:  # what grows may be faint at first
-        return None if faint and not last else False
+    if third <= gone:
+        return False
     early, late = math.log(second / first), math.log(third / second)
     settled = abs(late) > CERTAIN and abs(late - early) < EXPONENTIAL * abs(late)
     if last:

@@ -163,15 +163,13 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     return [*_table("bears errors up to, %", rows), *details]
 
 
-def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None, code: bool = True) -> str:
-    """Returns the verdict on the predicted margins; `code` is False if those with exported code are not as predicted."""
+def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
+    """Returns the verdict on the predicted margins."""
     wrong = [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
     if not fragile.agrees:
         wrong.append(f"errors of {whose(fragile.predicted)}")
     if box is not None and not box.holds:
         wrong.append("other vehicles")
-    if not code:
-        wrong.append("the loop with the exported code")
     if wrong:
         return f"DOES NOT AGREE: {'; '.join(wrong)}"
     others = f", {len(box.corners)} other vehicles too" if box is not None else ""

@@ -44,18 +44,18 @@ class ExportedLaw:
         numbers: "double", "float", "int32" or "int16".
         period: seconds between samples; None if it needs none, as it has no states.
         inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
-        units: of the inputs.
-        meanings: of the inputs, a line each.
+        units: units of the inputs.
+        meanings: a line on each input.
         outputs: names of the m forces, or of the dampers' coefficients.
-        output_units: of the outputs.
-        A, B, C, D: of a linear law with k states, sampled; D alone has rows without states.
-        resolution: of each reading, shape (q,); 0 for one that is not quantised.
+        output_units: units of the outputs.
+        A, B, C, D: matrices of a sampled linear law with k states; D alone has rows without states.
+        resolution: step of each reading, shape (q,); 0 for one that is not quantised.
         limit: largest force [N], or None.
         delay: samples from a reading to its output.
         anti_windup: shape (k, m), or None.
         dampers: nominal, least and largest coefficient of each adjustable damper [N s/m]; empty for force actuators.
         semi_active: name of a semi-active law, or empty.
-        coefficients: of a semi-active law; None for a linear one.
+        coefficients: numbers of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
         ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
         range_sources: where each range is from, in words.
@@ -121,7 +121,7 @@ def exported_law(
     """Returns a controller as it is exported.
 
     Args:
-        vehicle: with its limits and implementation.
+        vehicle: the vehicle, with its limits and implementation.
         driver: a controller of it.
         numbers: see `ExportedLaw`.
         name: prefix in C.

@@ -107,6 +107,11 @@ class CSource:
         self.law, self.certificate, self.p = law, certificate, law.name
         self.ctype, self.include, self.in_units, self.out_units = law.numbers, "", law.units, law.output_units
 
+    @property
+    def files(self) -> dict[str, str]:
+        """Header, source and tables, by the names of their files."""
+        return {f"{self.p}.h": self.header(), f"{self.p}.c": self.source(), f"{self.p}_data.h": self.data()}
+
     def number(self, value: float) -> str:
         """Returns the shortest literal that is read as this number."""
         own = (np.float32 if self.law.numbers == "float" else np.float64)(value)

@@ -10,10 +10,10 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
 
-LOOP, LOOP_TYPE, LOOP_STEP = "loop_of_a_run.c", "loop_of_a_run", "loop_of_a_run_step"
-NEAREST_EVEN = "6755399441055744.0"  # 1.5 * 2^52: added and taken off, it leaves the nearest whole number, of two the even one
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
 
 
@@ -56,8 +54,8 @@ class ExportedCode:
 
     Attributes:
         law: the law, with the tables of the folder.
-        texts: of NAME.c, NAME.h and NAME_data.h, as they lie in the folder, by name.
-        sha256: of its manifest.
+        texts: texts of NAME.c, NAME.h and NAME_data.h, by name.
+        sha256: checksum of the folder's manifest.
     """
 
     law: ExportedLaw
@@ -66,7 +64,7 @@ class ExportedCode:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Numbers, prefix and ranges, by which the code is made again, and the checksum, as JSON has them."""
+        """Numbers, prefix and ranges, by which the code is made again, and the checksum, for JSON."""
         law, ranges = self.law, None
         if law.ranges is not None:
             ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
@@ -79,7 +77,7 @@ class ExportedCode:
         Raises:
             InputError: there is no compiler, or it refuses the code.
         """
-        return _library(self.law.name, (*self.texts.items(), (LOOP, loop_source(self.law))))
+        return _library(self.law.name, tuple(self.texts.items()))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leaves the library behind: another process builds its own."""
@@ -90,62 +88,6 @@ class ExportedCode:
         return CompiledStep(self)
 
 
-def loop_source(law: ExportedLaw) -> str:
-    """Returns C that calls the code once a timestep: converts readings, holds forces between samples, and keeps a record."""
-    p, q, m, k, fixed = law.name, len(law.inputs), len(law.outputs), law.states, law.fixed
-    number = {"double": "double", "float": "float", "int32": "int32_t", "int16": "int16_t"}[law.numbers]
-
-    def units(values: Array) -> str:
-        return ", ".join(value.hex() for value in np.asarray(values, dtype=float).tolist()) or "0"
-
-    read, given, kept = f"({number})seen", "out[j]", "x[j]"
-    tables = ""
-    if fixed is not None:
-        tables = "".join(
-            f"static const double {name}[] = {{{units(values)}}};\n"
-            for name, values in (("seen_unit", fixed.seen), ("given_unit", fixed.given), ("kept_unit", fixed.kept))
-        )
-        most = f"{fixed.largest}.0"
-        read, given, kept = f"whole(seen / seen_unit[j], {most})", "out[j] * given_unit[j]", "x[j] * kept_unit[j]"
-        tables += f"""static {number} whole(double v, double most)
-{{
-    v = !(v > -most) ? -most : v > most ? most : v;
-    return ({number})((v + {NEAREST_EVEN}) - {NEAREST_EVEN}); /* as rint() */
-}}
-"""
-    states = f"for (j = 0; j < {k}; j++) loop->kept[j] = (double){kept};\n        " if k else ""
-    again = f"for (j = 0; j < {k}; j++) (loop->used)[j] = loop->kept[j];\n    loop->used += {k};\n    " if k else ""
-    return f"""#include <stdint.h>
-#include "{p}.h"
-typedef struct {{
-    void *state, *in, *out;
-    const double *seen;
-    double *acting, *given, *used, *kept;
-    int64_t left, held, k;
-}} {LOOP_TYPE};
-{tables}void {LOOP_STEP}({LOOP_TYPE} *loop);
-void {LOOP_STEP}({LOOP_TYPE} *loop)
-{{
-    {number} *in = loop->in, *out = loop->out;
-    {f"const {number} *x = loop->state;" if k else ""}
-    int j;
-    if (loop->left == 0) return;
-    loop->left--;
-    if (loop->k == 0) {{
-        for (j = 0; j < {q}; j++) {{
-            double seen = loop->seen[j];
-            in[j] = {read};
-        }}
-        {states}{p}_step(loop->state, loop->in, loop->out);
-    }}
-    loop->seen += {q};
-    for (j = 0; j < {m}; j++) loop->acting[j] = loop->given[j] = (double)({given});
-    loop->given += {m};
-    {again}loop->k = (loop->k + 1) % loop->held;
-}}
-"""
-
-
 @functools.lru_cache(maxsize=16)
 def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
     command = compiler()
@@ -153,8 +95,7 @@ def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
         for file, text in texts:
             (Path(beside) / file).write_text(text, encoding="utf-8", newline="\n")
         library = Path(beside) / f"{name}.so"
-        sources = [str(Path(beside) / file) for file in (f"{name}.c", LOOP)]
-        arguments = [*FLAGS.split(), "-shared", "-fPIC", *sources, "-o", str(library)]
+        arguments = [*FLAGS.split(), "-shared", "-fPIC", str(Path(beside) / f"{name}.c"), "-o", str(library)]
         built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
         if built.returncode:
             raise InputError(f"the compiler {Path(command[0]).name} refuses {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
@@ -205,74 +146,19 @@ class CompiledStep:
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
-class _Loop(ctypes.Structure):
-    """The struct of `loop_source`."""
-
-    _fields_: ClassVar = [
-        *((name, ctypes.c_void_p) for name in ("state", "in_", "out", "seen", "acting", "given", "used", "kept")),
-        *((name, ctypes.c_int64) for name in ("left", "held", "k")),
-    ]
-
-
-class CompiledLoop:
-    """The compiled code in a single run: it steps at every timestep, from readings that lie side by side, and keeps a record.
-
-    Attributes:
-        given: forces of the steps of a block, in their units, shape (B, m).
-        used: states at their samples, shape (B, k).
-    """
-
-    def __init__(self, code: ExportedCode, held: int, longest: int) -> None:
-        """Initialises the state of the code.
-
-        Args:
-            held: timesteps from sample to sample.
-            longest: most timesteps of a block.
-        """
-        self._step, law = CompiledStep(code), code.law
-        self.given, self.used = np.zeros((longest, len(law.outputs))), np.zeros((longest, law.states))
-        self._kept, self._loop = np.zeros(max(1, law.states)), _Loop(held=held, k=0)
-        places = (self._step.state, self._step.seen, self._step.given, self._kept)
-        self._loop.state, self._loop.in_, self._loop.out, self._loop.kept = (one.ctypes.data for one in places)
-        call, address = code.library[LOOP_STEP], ctypes.addressof(self._loop)
-        call.restype, call.argtypes = None, [ctypes.c_void_p]  # a whole number is passed in a fifth of the time of a reference
-        self._next = functools.partial(call, address)
-
-    def begin(self, seen: Array, acting: Array) -> Callable[[], None]:
-        """Begins a block with these readings, shape (B, i), whose forces go to `acting`; returns what makes its next step."""
-        self._loop.seen, self._loop.acting = seen.ctypes.data, acting.ctypes.data
-        self._loop.given, self._loop.used, self._loop.left = self.given.ctypes.data, self.used.ctypes.data, len(self.given)
-        return self._next
-
-
-@dataclass(frozen=True)
-class BehindCode:
-    """Factor and delay between exported code and the actuators, whose margins are looked for.
-
-    Attributes:
-        factor: on every force.
-        steps: of the run, by which every force is later.
-    """
-
-    factor: float = 1.0
-    steps: int = 0
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CompiledController(Controller):
     """A linear controller whose outputs exported code computes.
 
     Attributes:
         code: the code.
-        behind: what acts on its forces in runs for margins, where law and delay have it in them; None in others.
     """
 
     code: ExportedCode | None = None
-    behind: BehindCode | None = None
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as JSON has them."""
+        """Name, signals, law and code for JSON."""
         return super().record | ({"code": self.code.record} if self.code is not None else {})
 
 
@@ -288,7 +174,7 @@ class CompiledSemiActive(SemiActive):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as JSON has them."""
+        """Name, signals, law and code for JSON."""
         return super().record | ({"code": self.code.record} if self.code is not None else {})
 
 
@@ -302,11 +188,9 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
     if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
         raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
     if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
-        raise InputError("the ranges of its exported code are no numbers above 0")
+        raise InputError("the ranges of its exported code must be numbers above 0")
     law = exported_law(vehicle, driver, numbers, name, ranges)
-    source = source_of(law, "0" * 64)
-    texts = {f"{name}.c": source.source(), f"{name}.h": source.header(), f"{name}_data.h": source.data()}
-    return ExportedCode(law, texts, str(record.get("manifest_sha256")))
+    return ExportedCode(law, source_of(law, "0" * 64).files, str(record.get("manifest_sha256")))
 
 
 def driven_by(driver: Driver, code: ExportedCode) -> Driver:
@@ -315,8 +199,7 @@ def driven_by(driver: Driver, code: ExportedCode) -> Driver:
     return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
 
 
-def with_behind(controller: Controller, code: ExportedCode, behind: BehindCode) -> CompiledController:
-    """Returns a linear controller whose outputs this code computes, with something behind it."""
-    driven = driven_by(controller, code)
-    assert isinstance(driven, CompiledController), "it is linear"
-    return replace(driven, behind=behind)
+def without_code(driver: Driver) -> Driver:
+    """Returns a controller whose outputs exported code computes as it was before: its law computes them."""
+    kind = Controller if isinstance(driver, Controller) else SemiActive
+    return kind(**{one.name: getattr(driver, one.name) for one in fields(kind)})  # pyright: ignore[reportArgumentType]

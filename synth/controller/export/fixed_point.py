@@ -33,7 +33,7 @@ class FixedPoint:
         kept: units of the states, shape (k,).
         rows: coefficients of forces, then next states, on readings, states, then forces that a limit takes, shape
             (m + k, q + k + m).
-        shifts: of the rows, shape (m + k,).
+        shifts: shift of each row, shape (m + k,).
         limit: largest force, in the units of each, shape (m,), or None.
     """
 
@@ -45,20 +45,13 @@ class FixedPoint:
     shifts: Array
     limit: Array | None
 
-    @property
-    def held(self) -> Array:
-        """[D, C; B, A] as the whole coefficients have it, shape (m + k, q + k)."""
-        q, k = len(self.seen), len(self.kept)
-        out, of = np.concatenate([self.given, self.kept]), np.concatenate([self.seen, self.kept])
-        return self.rows[:, : q + k] * 0.5 ** self.shifts[:, None] * out[:, None] / of
-
 
 def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
     """Returns the sum over all samples and disturbances of |response|, of a stable loop, shape (r,).
 
     Args:
-        rows: from the state to r outputs.
-        transition: of the state from sample to sample.
+        rows: map from the state to r outputs.
+        transition: map of the state from sample to sample.
         first: states after each disturbance.
     """
     together = [rows]
@@ -84,7 +77,7 @@ def fixed_point(
         law: A, B, C, D.
         L: anti-windup, shape (k, m), or None.
         limit: largest force [N], or None.
-        resolution: of each reading, 0 for one that is not quantised, shape (q,).
+        resolution: step of each reading, 0 for one that is not quantised, shape (q,).
         ranges: largest magnitude of each reading, shape (q,).
 
     Raises:

@@ -5,6 +5,7 @@ import html
 import importlib.util
 import io
 import platform
+import re
 import struct
 import subprocess
 import sys
@@ -21,6 +22,13 @@ from synth.controller.export.fmu_model import FmuModel
 
 HERE = Path(__file__).parent / "fmi"
 ZIG = "ziglang"
+NAMES_OF_FMI_2 = {
+    "^Instance": "Component",
+    "Float64": "Real",
+    "FMUState": "FMUstate",
+    "^Deserialize": "DeSerialize",
+    "ContinuousStateDerivatives": "Derivatives",
+}  # by the names of FMI 3
 # Zig's name of a target, by the folder of its binary in FMI 2 and in FMI 3. A Mac's binary of FMI 2 is for both its processors.
 TARGETS = {
     2: {
@@ -69,8 +77,9 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
         resources: texts that travel with it, by name.
         about: what its documentation says, plain text.
     """
-    parts = ["fmu.h", "fmu.c", f"fmi{version}.c", *(["linear.c"] if "linear.c" in model.sources else [])]
+    parts = ["fmu.h", *(["linear.c"] if "linear.c" in model.sources else [])]
     sources = {**model.sources, **{name: (HERE / name).read_text(encoding="utf-8") for name in parts}}
+    sources[f"fmi{version}.c"] = functions_of(version)
     compiled = sorted(name for name in sources if name.endswith(".c"))
     page = PAGE.format(title=html.escape(model.title), about=html.escape(about))
     texts = {f"sources/{name}": text for name, text in sources.items()}
@@ -88,6 +97,19 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
         suffix = ".dylib" if "darwin" in folder else ".dll" if "win" in folder else ".so"
         files[f"binaries/{folder}/{model.identifier}{suffix}"] = content
     return Fmu(zipped(files), token, tuple(binaries), missing)
+
+
+def functions_of(version: int) -> str:
+    """Returns the C source of all functions of a version of FMI, from the template that has the names of FMI 3."""
+
+    def named(found: re.Match[str]) -> str:
+        name = found[1]
+        if version == 2:
+            for new, old in NAMES_OF_FMI_2.items():
+                name = re.sub(new, old, name)
+        return f"fmi{version}{name}"
+
+    return re.sub(r"\bN\b", str(version), re.sub(r"fmiN(\w+)", named, (HERE / "fmi.c").read_text(encoding="utf-8")))
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

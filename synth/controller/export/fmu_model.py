@@ -29,7 +29,7 @@ class FmuModel:
         period: step that it must be called with [s]; None for any.
         delay: samples from an input to the output that answers it; 0 of a linear system.
         start: outputs before the first step, shape (p,).
-        slopes: of outputs, then states' derivatives, by inputs, then states, shape (p + n, m + n); None of a sampled law.
+        slopes: slopes of outputs, then states' derivatives, by inputs, then states, shape (p + n, m + n); None for a sampled law.
         sources: C files of its own, by name.
     """
 
@@ -59,8 +59,8 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
     """Returns a law as the content of an FMU for co-simulation.
 
     Args:
-        vehicle: whose law it is.
-        law: whose prefix in C is that of no other source of an FMU.
+        vehicle: the vehicle that the law drives.
+        law: the law; no other source of an FMU has its prefix in C.
         certificate: SHA-256 of the certificate's file.
     """
     code, m = CSource(law, certificate), len(law.outputs)
@@ -82,9 +82,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}    return model->law.faults;\n}}\n"
     )
     sources = {
-        f"{law.name}.h": code.header(),
-        f"{law.name}.c": code.source(),
-        f"{law.name}_data.h": code.data(),
+        **code.files,
         "fmu_model.c": own,
         "fmu_model.h": _head((len(inputs), m, 0), law.period, f'#include "{law.name}.h"\n\n', f"    {law.name}_state law;\n"),
     }

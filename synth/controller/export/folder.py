@@ -3,19 +3,20 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.files import read_text
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import SUFFIX, Controller, Driver
-from synth.controller.export.c_law import GIVEN, NUMBERS, ExportedLaw, PythonStep, exported_law, proved_ranges, random_inputs
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
@@ -24,8 +25,6 @@ VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
 TABLES = ("A", "B", "C", "D", "anti_windup")
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
-MOST = 10_000_000  # bytes of a file of the folder
-NEAR = 1e-6  # relative: a peak that is proved anew is as near
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
 
@@ -50,32 +49,12 @@ def _record_of_ranges(law: ExportedLaw) -> dict[str, Any]:
     return {"ranges": ranges, "range_sources": dict(zip(law.inputs, law.range_sources, strict=True))}
 
 
-def with_tables(law: ExportedLaw, tables: Mapping[str, Any]) -> ExportedLaw | None:
-    """Returns a law with the tables of a certificate, or None if they are not its own."""
-    given = {}
-    for name in TABLES:
-        own, table = getattr(law, name), tables.get(name)
-        if (own is None) != (table is None):
-            return None
-        if own is not None:
-            try:
-                matrix = np.array(table, dtype=float).reshape(own.shape)
-            except (TypeError, ValueError):
-                return None
-            if not np.allclose(matrix, own, rtol=SAME, atol=SAME * np.abs(own).max(initial=0.0)):
-                return None
-            given[name] = matrix
-    return replace(law, **given)
-
-
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
     source = source_of(law, sha256(record))
     texts = {
-        f"{law.name}.h": source.header(),
-        f"{law.name}.c": source.source(),
-        f"{law.name}_data.h": source.data(),
+        **source.files,
         "CMakeLists.txt": source.cmake(),
         "test/main.c": source.main(),
         "test/vectors.csv": vectors(law),
@@ -207,88 +186,47 @@ def _claims(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFolder:
-    """An exported folder as it is found.
+    """An exported folder.
 
     Attributes:
         folder: its path.
-        vehicle, driver: of its vehicle file.
-        law: the law, with the tables of the folder if these are the law's.
-        failures: the files that are not as they were exported, in words.
+        vehicle: read from its vehicle file.
+        law: the law that was exported, from that file.
+        failures: a line for each file that is missing or changed.
     """
 
     folder: Path
     vehicle: Vehicle
-    driver: Driver
     law: ExportedLaw
     failures: tuple[str, ...]
 
 
 def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> ExportedFolder:
-    """Returns an exported folder, with every file compared with what is exported now.
+    """Returns an exported folder, with every file of its manifest compared with its checksum.
 
     Args:
         driver_of: returns a controller of a vehicle.
 
     Raises:
-        InputError: the folder is no exported controller.
+        InputError: the folder is not an exported controller.
     """
+    give, failures = "give a folder of --export", list[str]()
+    for line in read_text(folder / MANIFEST, "manifest", give).splitlines():
+        digest, _, name = line.partition("  ")
+        if not (folder / name).is_file():
+            failures.append(f"{name}: is missing, and {MANIFEST} has it")
+        elif hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
+            failures.append(f"{name}: is changed, by its checksum in {MANIFEST}")
+    text, record = (read_text(folder / name, "exported controller", give) for name in (VEHICLE, CERTIFICATE))
     try:
-        about = json.loads(read_text(folder / CERTIFICATE, "certificate", "name a folder of --export"))
-        name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
-        tables, ranges, sources = about["tables"], about.get("ranges"), dict(about.get("range_sources", {}))
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{folder / CERTIFICATE}: is not as --export writes it ({error}); export the controller again"
-        ) from error
-    text = read_text(folder / VEHICLE, "vehicle file", "name a folder of --export")
-    try:
+        about = json.loads(record)
         vehicle = parse_vehicle(text, folder=folder)
-        driver = driver_of(vehicle, name)
-        law = exported_law(vehicle, driver, numbers, prefix, ranges, sources)
-    except (InputError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{folder / VEHICLE}: {error}; it is changed, or {CERTIFICATE} is: export the controller again"
-        ) from error
-    failures = list[str]()
-    exact = with_tables(law, tables)
-    if exact is None:
-        failures.append(f"{CERTIFICATE}: its tables are not those of the law in {VEHICLE}")
-    failures += _unproved(driver, law)
-    wanted = files(vehicle, driver, exact or law)
-    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    for path in sorted({*wanted, *there}):
-        if path not in there:
-            failures.append(f"{path}: is missing")
-        elif path not in wanted:
-            failures.append(f"{path}: was not exported")
-        elif (folder / path).read_bytes() != wanted[path].encode():
-            failures.append(f"{path}: is changed")
-    failures += [one for one in _unlike_manifest(folder, there) if one not in failures]
-    return ExportedFolder(folder, vehicle, driver, exact or law, tuple(failures))
-
-
-def _unproved(driver: Driver, law: ExportedLaw) -> list[str]:
-    """Returns the ranges that are said to be from a proved peak, and are not."""
-    if law.ranges is None:
-        return []
-    proved, wrong = proved_ranges(driver), list[str]()
-    for name, most, source in zip(law.inputs, law.ranges.tolist(), law.range_sources, strict=True):
-        range_, words = proved.get(name, (math.inf, ""))
-        if source != GIVEN and (source != words or abs(most - range_) > NEAR * range_):
-            wrong.append(f"{CERTIFICATE}: the range of {name} is from no peak that is proved")
-    return wrong
-
-
-def _unlike_manifest(folder: Path, there: set[str]) -> list[str]:
-    """Returns the files whose checksum is not the manifest's."""
-    if MANIFEST not in there:
-        return []
-    lines = [line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8", errors="replace").splitlines()]
-    sums = {name: digest for digest, _, name in lines}
-    found = {path: hashlib.sha256((folder / path).read_bytes()).hexdigest() for path in there & set(sums)}
-    return [f"{path}: is changed" for path, digest in sorted(found.items()) if digest != sums[path]]
+        driver = driver_of(vehicle, about["controller"]["name"])
+        sources = about.get("range_sources", {})
+        law = exported_law(vehicle, driver, about["numbers"], about["name"], about.get("ranges"), sources)
+    except (InputError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder}: {'; '.join(failures) or error}; export the controller again") from error
+    return ExportedFolder(folder, vehicle, law, tuple(failures))
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) -> list[Driver]:
@@ -304,14 +242,15 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     if not fits:
         names = ", ".join(one.name for one in drivers)
         raise InputError(f"--as {folder}: is of controller {law.controller!r}, and --controller gives {names}; name that one")
-    driver = drivers[fits[0]]
-    if why := _another(found.vehicle, vehicle):
-        raise InputError(f"--as {folder}: is of a vehicle with {why}; export controller {driver.name!r} of this one")
+    driver, theirs, ours = drivers[fits[0]], _facts(found.vehicle), _facts(vehicle)
+    other = [f"{name} = {value}, and not {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
+    if other:
+        raise InputError(f"--as {folder}: is of a vehicle with {other[0]}; export controller {driver.name!r} of this one")
     if not is_law_of(law, vehicle, driver):
         raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.library  # noqa: B018 - what cannot be built is said before the long work
+    code.library  # noqa: B018 - code that cannot be built is refused before the long work
     return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
 
 
@@ -319,36 +258,25 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> bool:
     """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
     ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
     try:
-        return not _differs(law, exported_law(vehicle, driver, law.numbers, law.name, ranges))
+        other = exported_law(vehicle, driver, law.numbers, law.name, ranges)
     except InputError:  # it cannot be exported so
         return False
-
-
-def _differs(law: ExportedLaw, other: ExportedLaw) -> bool:
-    """Returns True if two laws compute something else, but for the rounding of their tables."""
     same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
-    if any(getattr(law, name) != getattr(other, name) for name in same) or not np.array_equal(law.resolution, other.resolution):
-        return True
-    return with_tables(other, {name: getattr(law, name) for name in TABLES}) is None
+    tables = [(getattr(law, name), getattr(other, name)) for name in ("resolution", *TABLES)]
+    return all(getattr(law, name) == getattr(other, name) for name in same) and all(_near(*both) for both in tables)
 
 
-def _another(exported: Vehicle, vehicle: Vehicle) -> str:
-    """Returns the first thing in which the vehicle of a folder is another one, in words; empty if it is the same."""
-    if exported.kind.name != vehicle.kind.name:
-        return f"another kind, {exported.kind.name}"
-    for name, value in exported.parameters.items():
-        if value != vehicle.parameters.get(name):
-            return f"{name} = {value:g}, and not {vehicle.parameters.get(name, float('nan')):g}"
-    for section, (theirs, ours) in {
-        "implementation": (vars(exported.implementation), vars(vehicle.implementation)),
-        "limits": (vars(exported.limits), vars(vehicle.limits)),
-    }.items():
-        for name, value in theirs.items():
-            if name != "seed" and value != ours[name]:
-                return f"[{section}] {name} = {value}, and not {ours[name]}"
-    ranges = [[(one.force, one.nominal, one.low, one.high) for one in of.adjustable] for of in (exported, vehicle)]
-    if ranges[0] != ranges[1]:
-        return "other [actuators]"
-    if dict(exported.curves) != dict(vehicle.curves):
-        return "other [curves]"
-    return ""
+def _near(one: Array | None, other: Array | None) -> bool:
+    """Returns True if two tables are equal but for the rounding of another machine."""
+    if one is None or other is None:
+        return one is other
+    return one.shape == other.shape and np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(other).max(initial=0.0))
+
+
+def _facts(vehicle: Vehicle) -> dict[str, Any]:
+    """Returns what a controller was exported for, by name."""
+    facts: dict[str, Any] = {"type": vehicle.kind.name, **vehicle.parameters}
+    for section, of in (("implementation", vehicle.implementation), ("limits", vehicle.limits)):
+        facts |= {f"[{section}] {name}": value for name, value in vars(of).items() if name != "seed"}
+    facts["[actuators]"] = [(one.force, one.nominal, one.low, one.high) for one in vehicle.adjustable]
+    return facts | {"[curves]": dict(vehicle.curves)}

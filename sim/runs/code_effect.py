@@ -1,0 +1,134 @@
+"""Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
+
+Linear analysis predicts the law. So the run with the law is compared with analysis, and the run with the code with that run. The
+comparison of the code's own run with analysis allows for the measured difference, which must be small.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import finite, table
+from models.vehicle.vehicle import Vehicle
+from sim.response.response import Response
+from synth.controller.controller import Driver, code_of
+
+MOST = 1e-2  # of a peak; code that moves a signal by more is not the law that linear analysis predicts
+
+
+@dataclass(frozen=True, eq=False)
+class CodeEffect:
+    """Difference of a run with exported code from the run with the law itself.
+
+    Attributes:
+        numbers: numbers of the code, see `ExportedLaw`.
+        apart: difference of each output signal at every sample until either run diverges, by name.
+        share: largest difference of any signal over its scale, while the comparison with analysis applies.
+        signal: name of that signal.
+        law_agrees: True if the run with the law itself agrees with analysis.
+        clipped: readings that leave their range in fixed point, where the code clips them.
+    """
+
+    numbers: str
+    apart: Mapping[str, Array]
+    share: float
+    signal: str
+    law_agrees: bool
+    clipped: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Returns True if the law's run agrees with analysis, and the code's run with that of the law."""
+        return self.law_agrees and self.share <= MOST
+
+    def peak(self, name: str) -> float:
+        """Returns the largest difference of a signal."""
+        return float(self.apart[name].max(initial=0.0))
+
+    def rms(self, name: str) -> float:
+        """Returns the root mean square of the difference of a signal."""
+        return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
+
+    def spread(self, samples: int) -> dict[str, Array]:
+        """Returns the difference of each signal that is due to rounding, at so many samples; empty in double."""
+        if self.numbers == "double":
+            return {}
+        return {name: np.pad(far, (0, samples - len(far))) for name, far in self.apart.items()}
+
+    @property
+    def agreement(self) -> str:
+        """Returns a sentence on the code's run if it agrees."""
+        return (
+            f"the run with the code differs from that of the law by {self.share:.1e} of a peak at most ({self.signal}; {MOST:g} "
+            "is allowed)"
+        )
+
+    @property
+    def failures(self) -> list[str]:
+        """Returns the reasons for which exported code does not agree; empty if it agrees."""
+        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree with linear analysis"]
+        if self.share > MOST:
+            lines.append(
+                f"DOES NOT AGREE: the code moves {self.signal} by {self.share:.1e} of its peak, where {MOST:g} is allowed; "
+                "export it in finer numbers, or with smaller ranges"
+            )
+        return lines
+
+
+def code_effect(
+    driver: Driver, physics: Response, law_physics: Response, names: Sequence[str], until: float, law_agrees: bool
+) -> CodeEffect:
+    """Returns the effect of exported code on a run.
+
+    Args:
+        driver: the controller that the code drives.
+        physics, law_physics: the run with the code, and the run with the law itself.
+        names: output signals.
+        until: time before which the run with the law is compared with analysis [s].
+        law_agrees: True if that run agrees.
+    """
+    law, end = code_of(driver).law, min(physics.diverged, law_physics.diverged)
+    code, ours, applies = physics.until(end), law_physics.until(end), law_physics.until(min(until, end))
+    apart, shares = {name: np.abs(code[name] - ours[name]) for name in names}, dict.fromkeys(names, 0.0)
+    if len(applies.time):
+        shares = {name: float(apart[name][: len(applies.time)].max()) / (float(applies.scale(name)) or 1.0) for name in names}
+    furthest = max(shares, key=lambda name: shares[name])
+    ranges = [] if law.ranges is None else law.ranges
+    clipped = tuple(name for name, most in zip(driver.measured, ranges, strict=False) if code.peak(name) > most)
+    return CodeEffect(law.numbers, apart, shares[furthest], furthest, law_agrees, clipped)
+
+
+def code_object(effect: CodeEffect | None) -> dict[str, Any]:
+    """Returns the effect of exported code for JSON; empty without such code."""
+    if effect is None:
+        return {}
+    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
+    return {"code_difference": apart}
+
+
+def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
+    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
+    if effect is None:
+        return ""
+    line = f"compiled code in {effect.numbers} drives it"
+    if effect.clipped:
+        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
+    if not any(map(effect.peak, effect.apart)):
+        return f"{line}; its run is that of the law, to the last bit"
+    force = max(vehicle.linear_model.inputs, key=effect.peak)
+    return (
+        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
+        f"and any signal by {effect.share:.1e} of its peak at most"
+    )
+
+
+def code_table(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
+    if effect is None:
+        return []
+    units = {name: vehicle.kind.signal(name).unit for name in effect.apart}
+    rows = [(f"{name} [{unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name, unit in units.items()]
+    return table([("code against law", "peak", "rms"), *rows])
