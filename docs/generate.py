@@ -48,7 +48,6 @@ from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import KEYS as CAMPAIGN_KEYS
 from sim.campaign.file import Campaign
-from sim.recording.run_log import RESULTS
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -373,8 +372,8 @@ def log_page() -> str:
     text += f"\n{table(('topic', 'schema', 'units are given of'), rows)}"
     for name, values in claims.items():
         text += f"\n## Metadata {name}\n\n{', '.join(f'`{key}`' for key in values)}.\n"
-    text += f"\n## Attachments\n\n{table(('name', 'type'), attached)}\n## Keys of result.json\n\n"
-    return text + table(("command", "keys"), [(name, ", ".join(f"`{key}`" for key in keys)) for name, keys in RESULTS.items()])
+    text += f"\n## Attachments\n\n{table(('name', 'type'), attached)}"
+    return text + "\n`result.json` is what the command prints with `--json`.\n"
 
 
 # Public names

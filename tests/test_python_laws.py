@@ -321,8 +321,7 @@ def test_other_forces_or_another_text_in_a_log_are_found(tmp_path, monkeypatch):
     monkeypatch.undo()
     name = next(name for name in log.attachments if name.startswith("law-"))
     changed = replace(log, attachments={**log.attachments, name: log.attachments[name] + b"#"})
-    (finding,) = [one for one in prove(changed).runs[0].findings if one.verdict == "FAILS"]
-    assert "checksum" in finding.text
+    assert any("sha256" in one.text for one in prove(changed).runs[0].findings if one.verdict == "FAILS")
 
 
 def test_text_of_a_vehicle_file_runs_nothing(tmp_path):

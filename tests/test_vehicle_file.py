@@ -219,7 +219,7 @@ def test_a_design_needs_weights(text, section, said):
 def test_controllers_are_sections(text):
     """A controller that is no section is refused, and so is a list of them."""
     head = text.split("[controllers.I]")[0]
-    with pytest.raises(InputError, match=r"\[controllers.mine\] is not a section"):
+    with pytest.raises(InputError, match=r"\[controllers.mine\] is not one section"):
         parse_vehicle(f"{head}[controllers]\nmine = 3\n")
     with pytest.raises(InputError, match=r"write it as \[controllers\]"):
         parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
