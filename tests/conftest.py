@@ -15,7 +15,7 @@ from sim.recording.run_log import RunLog
 from sim.runs.run import run_controllers, sample_times
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
-from tests import shared
+from tests.support import shared
 
 shared.share_designs()
 shared.share_vehicles()
@@ -40,7 +40,7 @@ TEXTBOOK = {
 
 @pytest.fixture(scope="session", autouse=True)
 def _kept_while_the_session_lasts(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Workers share what `tests.shared` makes; sessions do not."""
+    """Workers share what `tests.support.shared` makes; sessions do not."""
     base = tmp_path_factory.getbasetemp()
     shared.keep_in((base.parent if hasattr(request.config, "workerinput") else base) / "shared")
 

@@ -49,10 +49,10 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import cost
 from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.front import front
-from tests.analysed import simulate
 from tests.benchmarks.pairs import paired_ratio, summed_ratio
 from tests.benchmarks.states import chain
-from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
+from tests.support.analysed import simulate
+from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 
 def native_steps(model: mujoco.MjModel, threads: int) -> Callable[[int], None]:

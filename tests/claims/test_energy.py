@@ -1,0 +1,211 @@
+"""The energy that road and actuators put into a run is found again: stored, or dissipated."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from models.roads.road import Bump
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.physics.energy import Energy
+from sim.response.response import Response
+from sim.runs.run import run_controllers, sample_times
+from synth.vehicle.designer import design
+from tests.support.analysed import energy, simulate
+from tests.support.pages import hopper
+
+LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
+ALL = (
+    "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 500.0\nactuator_bandwidth = 60.0\n"
+    "[implementation]\nsample_period = 0.004\ndelay = 1\n"
+)
+
+
+def run(vehicle, controller, road, timestep, duration=1.5):
+    """One run."""
+    time = np.arange(round(duration / timestep) + 1) * timestep
+    return simulate([vehicle], [controller], [road], time)
+
+
+def balance(kind, reality, name, road, timestep) -> Energy:
+    """The energy of a run of a vehicle that ships, with limits and implementation."""
+    vehicle = parse_vehicle(read_vehicle(kind).text + reality)
+    return energy(vehicle, run(vehicle, design(vehicle, name), road, timestep), 0, road)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reality", "name", "track"),
+    [
+        ("half_car", "", "I", "both"),
+        ("full_car", "", "I", "left"),
+        ("half_car", LAG, "I", "both"),
+        ("half_car", "\n[implementation]\nsample_period = 0.004\ndelay = 2\n", "I", "both"),
+    ],
+)
+def test_residual_is_of_the_integrators_order(kind, reality, name, track):
+    """While every wheel is on the road the residual shrinks with the fourth power of the step, as RK4's error does."""
+    coarse, fine = (balance(kind, reality, name, Bump(track=track), timestep) for timestep in (2e-3, 1e-3))
+    assert coarse.residual < 1e-5  # measured up to 2.6e-6
+    assert coarse.residual / fine.residual > 2**3.3  # order 4 as the step goes to 0; measured 13 to 15
+
+
+def test_quarter_car(paper, designer):
+    """The paper's run balances to 1e-7, and from 1 ms to 0.5 ms ten times better: two errors of order 4 partly cancel in it."""
+    controller, road = designer.design("I"), Bump()
+    coarse, fine = (energy(paper, run(paper, controller, road, h), 0, road).residual for h in (1e-3, 5e-4))
+    assert coarse < 1e-7  # measured 1.1e-8
+    assert fine < coarse / 8  # measured 11.7
+
+
+@pytest.mark.parametrize(
+    ("kind", "reality", "road"),
+    [
+        ("quarter_car", "", Bump(height=0.2, speed=20.0)),
+        ("half_car", ALL, Bump()),
+    ],
+)
+def test_with_kinks_it_balances_to_less(kind, reality, road):
+    """Tyres off the road, bump stops, saturation, lag, hold and delay: it still balances, and better with a smaller step."""
+    coarse, fine = (balance(kind, reality, "I", road, timestep) for timestep in (4e-3, 5e-4))
+    assert coarse.balances
+    assert fine.residual < 1e-5
+    assert coarse.residual / fine.residual > 8  # at least first order over an eighth of the step
+    for one in (coarse, fine):  # what is left over at the end is no more than at its largest
+        left = one.road + one.actuators - one.stored - one.dissipated
+        assert abs(left) <= one.residual * one.turnover * (1 + 1e-9)
+
+
+def test_what_is_put_in_is_what_the_signals_say(paper, designer):
+    """By another route: the controller's work is u times the suspension's stroke, the damper's c times its speed squared."""
+    controller, road, timestep = designer.design("I"), Bump(), 1e-3
+    runs = run(paper, controller, road, timestep, 3.0)
+    found, response = energy(paper, runs, 0, road), runs.response.run(0)
+    speed = response["sprung_velocity"] - response["unsprung_velocity"]
+    by_force = float(np.sum(response["control_force"][:-1] * np.diff(response["suspension_deflection"])))
+    lost = float(np.sum(paper.parameters["suspension_damping"] * speed**2) * timestep)
+    assert found.dissipated == pytest.approx(lost, rel=1e-3)  # a sum of rectangles, from rest to rest
+    assert found.actuators == pytest.approx(by_force, rel=1e-9)  # rounding
+    work = response["control_force"][:-1] * np.diff(response["suspension_deflection"])
+    kinetic = sum(
+        paper.parameters[f"{mass}_mass"] * np.max(response[f"{mass}_velocity"] ** 2) / 2 for mass in ("sprung", "unsprung")
+    )
+    least = found.dissipated + np.abs(work).sum()
+    assert least < found.turnover <= least + kinetic * (1 + 1e-9)  # the masses are not at their fastest at once
+
+
+def hidden(tmp_path, paper, change):
+    """The paper's quarter-car with another MJCF."""
+    text = paper.kind.mjcf.read_text()
+    changed = change(text)
+    assert changed != text
+    (tmp_path / "quarter_car.xml").write_text(changed)
+    return dataclasses.replace(paper, kind=dataclasses.replace(paper.kind, folder=tmp_path))
+
+
+FAULTS = {
+    "a body that floats": lambda text: text.replace('<body name="sprung"', '<body name="sprung" gravcomp="0.01"'),
+    "air that drags": lambda text: text.replace('gravity="0 0 -9.81"', 'gravity="0 0 -9.81" density="2000"'),
+    "a force on the body alone": lambda text: text.replace(
+        '<motor name="control_force" tendon="suspension"/>', '<motor name="control_force" joint="sprung"/>'
+    ),
+    "a gear of 1 %": lambda text: text.replace('tendon="suspension"/>', 'tendon="suspension" gear="1.01"/>'),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_hidden_forces_show(tmp_path, paper, designer, fault):
+    """A force that is neither weight, spring, damper nor actuator is left over."""
+    road, controller = Bump(), designer.design("I")
+    clean, found = (
+        energy(vehicle, run(vehicle, controller, road, 1e-3), 0, road)
+        for vehicle in (paper, hidden(tmp_path, paper, FAULTS[fault]))
+    )
+    assert clean.balances
+    assert not found.balances
+
+
+LIGHT = """type = "quarter_car"
+[parameters]
+sprung_mass = 229.0
+unsprung_mass = 7.1
+suspension_stiffness = 2350.0
+suspension_damping = 7.5
+tyre_stiffness = 430e3
+[performance]
+sprung_acceleration = 1.0
+"""
+
+
+@pytest.mark.parametrize(("length", "height"), [(0.5, 0.05), (0.3, 0.003)], ids=["in the air", "on the road"])
+def test_a_light_wheel_balances_in_view_of_half_the_step(tmp_path, length, height):
+    """A wheel that is fast for the step leaves more over than others do, and less at half the step: that is no fault.
+
+    A force that floats the body leaves as much at half the step, and is found as before.
+    """
+    light, road = parse_vehicle(LIGHT, source="mine"), Bump(height, length=length, speed=10.0)
+    controller, time = design(light, "passive"), sample_times(light, 0.5, 1e-3)
+    vehicles = (light, hidden(tmp_path, light, FAULTS["a body that floats"]))
+    clean, found = (run_controllers(vehicle, [controller], road, time)[0] for vehicle in vehicles)
+    alone = energy(light, run(light, controller, road, 1e-3, 0.5), 0, road)
+    assert clean.energy is not None
+    assert found.energy is not None
+    assert not alone.balances
+    assert clean.energy == dataclasses.replace(alone, allowed=clean.energy.allowed)
+    assert clean.passed
+    assert not found.energy.balances
+
+
+def test_wrong_steps_forces_and_dampers_show(paper, designer):
+    """Physics that ran with another step, actuator force or damper than it says does not balance."""
+    road = Bump()
+    runs = run(paper, designer.design("I"), road, 1e-3)
+    response = runs.response
+    assert energy(paper, runs, 0, road).balances
+    slower = dataclasses.replace(runs, response=Response(1.02 * response.time, response.signals, response.values))
+    assert not energy(paper, slower, 0, Bump(speed=12.5 / 1.02)).balances
+    values = response.values.copy()
+    values[..., response.names.index("control_force")] *= 1.1
+    stronger = dataclasses.replace(runs, response=Response(response.time, response.signals, values))
+    assert not energy(paper, stronger, 0, road).balances
+
+
+@pytest.mark.parametrize(("kind", "name"), [("quarter_car", "passive"), ("half_car", "I"), ("full_car", "passive")])
+def test_a_hundredth_of_a_damper_shows(kind, name):
+    """Physics whose dampers are 1 % off what they are said to be does not balance, however much weight the road lifts."""
+    vehicle, road = read_vehicle(kind), Bump()
+    runs = run(vehicle, design(vehicle, name), road, 1e-3)
+    dampers = {key: 1.01 * value for key, value in vehicle.parameters.items() if "suspension_damping" in key}
+    assert dampers
+    other = dataclasses.replace(vehicle, parameters={**vehicle.parameters, **dampers})
+    assert energy(vehicle, runs, 0, road).balances
+    assert not energy(other, runs, 0, road).balances
+
+
+@pytest.mark.attack
+def test_own_kind_balances_and_its_faults_show(tmp_path, capsys):
+    """The README's hopper, whose motor pushes against the world, balances to RK4's error.
+
+    In a fluid, whose drag grows with the square of the speed as geometry does, neither the signals nor the energy agree: a model
+    without hinges or leaning tendons has no geometry.
+    """
+    command = ["--vehicle", str(hopper(tmp_path)), "--controller", "I", "--no-logs", "--json"]
+    assert main(command) == 0
+    (clean,) = json.loads(capsys.readouterr().out)["runs"]
+    assert clean["energy"]["residual"] < 1e-6  # 1e-7 measured
+    assert clean["energy"]["dissipated"] == 0  # it has no damper
+    assert clean["energy"]["actuators"] < 0  # its motor is what stops it
+    xml = (tmp_path / "hopper.xml").read_text()
+    (tmp_path / "hopper.xml").write_text(xml.replace('integrator="RK4"', 'integrator="RK4" density="2000"'))
+    assert main(command) == 1
+    (dragged,) = json.loads(capsys.readouterr().out)["runs"]
+    assert not dragged["agrees"]
+    assert not dragged["energy"]["balances"]
+
+
+def test_at_rest_nothing_is_left_over(paper, designer):
+    """On a flat road nothing is put in, and rounding is not taken for a fault."""
+    found = energy(paper, run(paper, designer.design("I"), Bump(height=0.0), 1e-3), 0, Bump(height=0.0))
+    assert found.turnover < 1e-9  # J; of 5 kJ at rest, rounded a thousand times
+    assert found.balances

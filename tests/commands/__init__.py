@@ -1,0 +1,1 @@
+"""Commands as users call them: options, text, JSON, exit codes, pages and exports."""

@@ -1,0 +1,189 @@
+"""`python -m sim.drive`: roads of every kind, metrics beside predictions, logs, and bad input."""
+
+import itertools
+import json
+
+import pandas
+import pytest
+
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.common.table import find_table
+from models.common.units import TIME
+from models.roads.road import Bump
+from models.vehicle.vehicle import read_vehicle
+from sim.drive import main
+from sim.runs.run import run_controllers, sample_times
+from tests.support.commands import main_of, prose
+from tests.support.shared import designed
+
+
+def run_json(capsys, *arguments):
+    code = main([*arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def test_class_c(capsys, tmp_path):
+    """Controller I over class C: agreement until the wheel lifts, every metric thrice, logs that are there."""
+    code, result = run_json(
+        capsys, "--controller", "I", "--class", "c", "--speed", "20", "--duration", "6", "--logs", str(tmp_path)
+    )
+    assert code == 0
+    (run,) = result["runs"]
+    assert run["agrees"]
+    assert result["road"]["class"] == "C"
+    assert result["road"]["roughness"] == 256e-6
+    assert set(run["metrics"]["dynamic_load"]) == {"unit", "mujoco", "linear", "expected", "spread", "approximate"}
+    for name in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
+        metric = run["metrics"][name]
+        assert metric["mujoco"] == pytest.approx(metric["linear"], rel=0.05)  # it lifts off for moments, if at all
+        assert abs(metric["mujoco"] - metric["expected"]) < 4 * metric["spread"]
+    assert result["measured_from"] == pytest.approx(1.865, abs=1e-3)  # ln(100) / 2 over the slowest pole, 1.235 rad/s
+    assert sorted(result["logs"].values()) == sorted(str(path) for path in tmp_path.iterdir())
+
+
+def test_linear_roads_are_linear(capsys):
+    """Over class A no wheel lifts, and every metric in MuJoCo is that of the linear response over the same road."""
+    _, result = run_json(capsys, "--controller", "passive", "--controller", "II", "--class", "A", "--duration", "4", "--no-logs")
+    for run in result["runs"]:
+        assert run["lift_off"] == []
+        for metric in run["metrics"].values():
+            assert metric["mujoco"] == pytest.approx(metric["linear"], rel=1e-4, abs=1e-9)  # RK4's 1e-6, and powers nearly cancel
+
+
+@pytest.mark.parametrize("command", ["bump", "drive"])
+def test_csv(command, tmp_path, capsys):
+    """The table has every signal in MuJoCo and the analysis, bit for bit, as the project's reader and pandas read it."""
+    path, names, road = tmp_path / "signals.csv", ("passive", "I"), ("--road", "bump") if command == "drive" else ()
+    options = (*road, "--speed", "12.5", "--duration", "0.3", "--no-logs", "--csv", str(path), "--json")
+    assert main_of(f"sim.{command}")(["--controller", "passive", "--controller", "I", *options]) == 0
+    assert json.loads(capsys.readouterr().out)["csv"] == str(path)
+    vehicle = read_vehicle("quarter_car")
+    runs = run_controllers(vehicle, [designed(vehicle, name) for name in names], Bump(), sample_times(vehicle, 0.3, 1e-3))
+    table = find_table(path.read_text(), "")
+    headings, (numbers, _) = table.headings(TIME), table.numbers()
+    assert [(one.name, one.unit) for one in headings[:2]] == [("time", "s"), ("road_displacement passive mujoco", "m")]
+    frame = pandas.read_csv(path).set_index("time [s]")
+    assert frame.shape == (301, 2 * 2 * len(vehicle.kind.signals)) == (len(numbers), len(headings) - 1)
+    for run in runs:
+        for signal, source in itertools.product(vehicle.kind.signals, ("mujoco", "sampled")):
+            response = run.physics if source == "mujoco" else run.sampled
+            heading = f"{signal.name} {run.controller.name} {source} [{signal.unit}]"
+            column = [one.text for one in headings].index(heading)
+            assert frame[heading].tolist() == numbers[:, column].tolist() == response[signal.name].tolist()
+    with pytest.raises(InputError, match="a table is written as CSV"):
+        main_of(f"sim.{command}")(["--controller", "I", "--no-logs", "--csv", str(tmp_path / "signals.txt")])
+
+
+def test_seed(capsys):
+    """Another seed is another road, the same seed the same numbers."""
+    roads = [
+        run_json(capsys, "--controller", "passive", "--duration", "2", "--no-logs", "--seed", seed)[1]["runs"]
+        for seed in ("1", "1", "2")
+    ]
+    assert roads[0] == roads[1] != roads[2]
+
+
+@pytest.mark.parametrize(
+    "road", ["bump:height=0.03", "watts_hump:height=0.05", "step:height=-0.02", "pothole:depth=0.02", "sweep"]
+)
+def test_obstacles(capsys, road):
+    """Every obstacle is driven, agrees, and is measured without an expectation, as it has no spectrum."""
+    code, result = run_json(capsys, "--controller", "I", "--road", road, "--speed", "10", "--duration", "2", "--no-logs")
+    assert code == 0
+    assert result["road"]["type"] == road.split(":")[0]
+    metric = result["runs"][0]["metrics"]["suspension_deflection_peak"]
+    assert metric["expected"] is None
+    assert metric["mujoco"] > 0
+
+
+@pytest.mark.parametrize(
+    ("duration", "said"),
+    [
+        (2.0, ""),
+        (1.0, "50 % of the road is driven: --duration 2 drives all of it"),
+        (
+            2.5,
+            "the road's points end at 2 s of 2.5 s; it is straight from there on, which lowers every rms: "
+            "--duration 2 measures the road alone",
+        ),
+    ],
+)
+def test_a_road_that_ends_before_its_run_or_after_it(capsys, tmp_path, duration, said):
+    """A run that is longer than the points of its road, or shorter, says so: a straight end lowers the ride unseen."""
+    path = tmp_path / "road.csv"
+    path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(201)))
+    arguments = ["--controller", "passive", "--road", str(path), "--speed", "10", "--duration", str(duration), "--no-logs"]
+    assert run_json(capsys, *arguments)[1]["road"]["points"] == 201
+    main(arguments)
+    out = prose(capsys.readouterr().out)
+    assert said in out
+    assert ("--duration" in out) == bool(said)
+
+
+def test_verdict_before_a_wheel_lifts(capsys):
+    """If a wheel lifts within a moment, the time before it agrees, though the body turns: later says nothing of that."""
+    arguments = ["--vehicle", "half_car", "--controller", "II", "--class", "D", "--speed", "25", "--duration", "3", "--seed", "1"]
+    code, result = run_json(capsys, *arguments, "--no-logs")
+    assert (code, result["runs"][0]["agrees"]) == (0, True)
+    assert result["runs"][0]["lift_off"][0][0] < 1.0
+
+
+def test_a_run_that_ends_early_has_no_metrics(capsys):
+    """On a flat tyre a run breaks off: what and when is said, no number of it is printed as a metric, and JSON has nulls."""
+    arguments = ["--controller", "I", "--road", "step:height=1", "--duration", "1", "--no-logs"]
+    code, result = run_json(capsys, *arguments)
+    (run,) = result["runs"]
+    assert code == 0  # until then physics is what the analysis says
+    assert run["broke_off"]["by"] == "flat tyre"
+    assert all(metric["mujoco"] is None and metric["linear"] is None for metric in run["metrics"].values())
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert f"no metrics of this run: flat tyre at {run['broke_off']['at']:.4g} s" in out
+    assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
+
+
+def test_what_metrics_rest_on_is_said(capsys):
+    """The output shows how settled the run is when measuring begins, every metric as in `--json`, and which are approximate."""
+    arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]
+    _, result = run_json(capsys, *arguments)
+    (run,) = result["runs"]
+    assert run["broke_off"] is None
+    assert run["settled"]["signal"] == "suspension_deflection"
+    assert 0.7 < run["settled"]["share"] < 0.9  # half of the run, 2 s, is a third of its settling time
+    assert run["expected_error"] < 1e-4
+    main([*arguments, "-v"])
+    table = capsys.readouterr().out
+    assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in prose(table)
+    rows = [line.split()[1:] for line in table.partition("measured from")[2].splitlines()]
+    for name, metric in run["metrics"].items():
+        numbers = [metric["unit"], f"{metric['mujoco']:.4g}", f"{metric['linear']:.4g}"]
+        expected = metric["expected"]
+        if expected is not None:
+            numbers.append(f"{'~' * (metric['approximate'] and expected > 0)}{expected:.4g}")
+        assert numbers in [row[: len(numbers)] for row in rows], name
+        assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
+    main(arguments)
+    ride = run["metrics"]["sprung_acceleration_weighted"]
+    expected = f"passive {ride['expected']:.3g} +- {ride['spread']:.2g} "
+    assert f"ride expected over all such roads [m/s2], +- by road: {expected}" in prose(capsys.readouterr().out) + " "
+
+
+def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
+    """For limits, and of noise on what is measured, a sentence says that only MuJoCo's numbers have them."""
+    text = read_vehicle("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\n[implementation]\n"
+    (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
+    main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs", "-v"])
+    out = prose(capsys.readouterr().out)
+    assert "sampled and expected numbers are for a vehicle without bump stops" in out
+    assert "MuJoCo's numbers include the noise of the measurements, sampled and expected ones do not" in out
+
+
+def test_a_flat_road_changes_nothing(tmp_path, capsys):
+    """Over a flat road nothing moves, and there is no share of what rounding leaves."""
+    options = ["--controller", "I", "--controller", "passive", "--duration", "1", "--no-logs", "-v"]
+    for road, shares in (("flat", False), ("bump", True)):
+        assert main([*options, "--road", road]) == 0
+        rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+        changes = [row[-1] for row in rows if row[:1] in (["peak"], ["rms"]) and "%" in row]
+        assert bool(changes) == shares

@@ -1,0 +1,222 @@
+"""Options that contradict one another, or have no effect together, are refused; so are outputs that cannot be written.
+
+Both before any work: nothing is designed, nothing is left behind.
+"""
+
+import os
+import shlex
+from pathlib import Path
+
+import pytest
+
+from models.common.errors import InputError
+from models.vehicle.vehicle import read_vehicle
+from synth.vehicle.designer import Designer
+from tests.support.commands import main_of, refused
+from tests.support.pages import hopper
+
+MAP = "--vary height:0.1:0.2:2 --vary speed:5:10:2"
+COMMANDS = {  # with the least that each needs
+    "sim.bump": ("--controller", "I", "--duration", "1"),
+    "sim.drive": ("--controller", "I", "--duration", "1"),
+    "sim.sweep": (),
+    "sim.envelope": ("--controller", "I", *MAP.split()),
+    "sim.margins": ("--controller", "I"),
+    "sim.report": ("--quick",),
+    "synth": (),
+}
+OUTPUTS = {
+    "sim.bump": ("--picture", "--logs"),
+    "sim.drive": ("--picture", "--logs"),
+    "sim.sweep": ("--picture", "--logs"),
+    "sim.envelope": ("--csv", "--picture", "--logs"),
+    "sim.margins": ("--picture", "--logs"),
+    "sim.report": ("--out", "--figures"),
+    "synth": ("--save", "--picture"),
+}
+FOLDERS = ("--logs", "--figures")
+NAMES = {"--picture": "out.png", "--out": "out.html", "--csv": "out.csv", "--save": "out.toml"}
+
+
+def tree(folder: Path) -> list[str]:
+    """Everything below a folder."""
+    return sorted(str(path) for path in folder.rglob("*"))
+
+
+@pytest.fixture
+def nothing_designed(monkeypatch):
+    """A design would fail the test."""
+
+    design = Designer.design
+
+    def begun(self, name, *arguments):
+        assert name == "passive", "the work was begun"  # which is no work
+        return design(self, name)
+
+    monkeypatch.setattr(Designer, "design", begun)
+
+
+REFUSED = [
+    ("sim.bump --controller all --controller I", "all includes every controller"),
+    ("sim.bump --controller I --controller II --controller I", "--controller I is given twice"),
+    ("sim.bump --controller I --no-logs --logs x", "--logs: not allowed with argument --no-logs"),
+    ("sim.bump --controller I --serve --no-logs", "--no-logs makes none"),
+    ("sim.bump --controller I --track left", "only one track"),
+    ("sim.drive --controller I --class C --road step", "--class or --road, not both"),
+    ("sim.drive --controller I --road watts_hump --seed 0", "--seed chooses a random road"),
+    ("sim.sweep --speed 12.5", "--speed matters to rear wheels only"),
+    ("sim.envelope --controller I MAP --height 0.1", "--vary height varies it"),
+    ("sim.envelope --controller I --controller II MAP", "--controller: is given twice"),
+    ("sim.envelope --controller all MAP", "all is not allowed, as this command takes one controller"),
+    ("sim.envelope MAP", "no controller is given"),
+    ("sim.envelope --controller I MAP --csv car.toml --vehicle car.toml", "is an input file"),
+    ("sim.envelope --controller I MAP --csv hard.csv --vehicle car.toml", "is an input file"),
+    ("sim.envelope --controller I MAP --csv a.csv --picture a.svg", "is the file of --csv, too"),
+    ("sim.sweep --picture hopper.svg --vehicle hopper.toml", "is an input file"),
+    ("synth --save hopper.xml --vehicle hopper.toml", "is an input file"),
+    ("synth --save car.toml --vehicle car.toml", "is an input file"),
+    ("synth --save x.toml --picture x.svg", "--save x.toml is the file of --picture, too"),
+    ("synth --save /dev/stdout --json", "both write to standard output"),
+    ("synth --front ride:travel --csv hump.csv --vehicle bounded.toml", "--csv hump.csv is an input file"),
+    ("sim.report --figures . --vehicle bounded.toml", "--figures . contains the input file fleet.csv"),
+    ("sim.inspect car.mcap --csv kind.csv --kinds .", "--csv kind.csv is an input file"),
+    ("sim.margins --controller passive --controller I", "--controller: is given twice"),
+    ("synth --check car.toml --vehicle quarter_car", "--check reads its own file"),
+    ("synth --check car.toml --refine", "--check reads its own file"),
+    ("synth --check car.toml --controller I", "'I' has no gain"),
+    ("synth --refine --controller passive", "--refine: passive has no gain"),
+    ("synth --zero-l --vehicle given.toml", "--zero-l is of a design from measurements"),
+    ("synth --save x.toml --controller passive", "--save has nothing to write"),
+    ("sim.bump", "no controller", "all, passive, state, I, II"),
+    ("sim.bump --controller III", "'III'", "I, II, II_printed, I_printed, passive, state, state_printed"),
+    ("sim.bump --controller ''", "--controller", "is empty"),
+    ("sim.bump --controller I --controller 'a\nb'", "'a\\nb'"),
+    ("sim.bump --controller I --colour", "--colour", "--help"),
+    ("sim.bump --controller I --height 1 --height 2", "--height", "is given twice"),
+    ("sim.bump --controller I --vehicle mine.toml", "mine.toml", "no such file", "quarter_car"),
+    ("sim.bump --controller I --height high", "--height", "'high' is not a number"),
+    ("sim.bump --controller I --height nan", "--height", "'nan' is not a finite number"),
+    ("sim.bump --controller I --height -1e3", "height = -1000", "from -10 to 10"),
+    ("sim.bump --controller I --length 0", "length = 0", "from 0.001 to 10000"),
+    ("sim.bump --controller I --length 0.02", "0.0016 s", "two timesteps of 0.001 s"),
+    ("sim.bump --controller I --speed 0", "speed = 0", "from 0.001 to 1000"),
+    ("sim.bump --controller I --timestep 0", "timestep = 0.0", "above 0"),
+    ("sim.bump --controller I --timestep 0.05", "timestep = 0.05", "above 0.0444 s"),
+    ("sim.bump --controller I --timestep 1e-300", "samples are too many", "1000000"),
+    ("sim.bump --controller I --duration 0.0015", "duration = 0.0015", "two timesteps"),
+    ("sim.bump --controller I --logs /dev/null", "/dev/null", "folder"),
+    ("sim.drive", "no controller is given"),
+    ("sim.drive --controller I --class I", "unknown road class 'I'"),
+    ("sim.drive --controller I --seed 1.5", "'1.5' is not a whole number"),
+    ("sim.drive --controller I --seed -1", "seed = -1"),
+    ("sim.drive --controller I --road gravel", "unknown road 'gravel'"),
+    ("sim.drive --controller I --road pothole:length=0.01:edge=0.005", "two timesteps"),
+    ("sim.sweep --controller passive --timestep 0.02", "too coarse"),
+    ("sim.sweep --controller passive --amplitude 0", "amplitude"),
+    ("sim.envelope --controller I --vary height:0.02:0.3:1 --vary speed:3:30:20", "2 or more"),
+    ("sim.envelope --controller I", "one axis or two, 0 given"),
+    ("sim.envelope --controller I --vary height:0.02:0.3:20 --vary height:0.02:0.3:20", "twice"),
+    ("sim.envelope --controller I --vary width:0.02:0.3:20 --vary speed:3:30:20", "unknown quantity"),
+    ("sim.envelope --controller I --vary height:0.02:0.3 --vary speed:3:30:20", "name:low:high:count"),
+    ("sim.envelope --controller I --vary height:0.3:0.02:20 --vary speed:3:30:20", "low < high"),
+    ("sim.envelope --controller I --vary height:0.02:nan:20 --vary speed:3:30:20", "height = 'nan' is not a finite number"),
+    ("sim.envelope --controller I --vary height:0.02:0.3:1000 --vary speed:3:30:1000", "1000000 cells are too many"),
+    ("sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:0.5:30:20", "longer --duration"),
+    ("sim.margins", "--controller", "I, II", "state"),
+    ("sim.margins --controller passive", "'passive'", "no gain", "no margin"),
+    ("sim.margins --controller II --timestep 1", "timestep", "RK4"),
+    ("sim.report --timestep 1", "too large"),
+    ("synth --zero-l --controller state", "--zero-l: 'state' is not designed in two steps"),
+    ("synth --vehicle /no/such/file", "there is no such file"),
+    ("synth --refine --cross-check", "--refine leaves their optima; omit one of them"),
+    ("synth --controller passive --cross-check", "has nothing to solve"),
+    ("synth --check half.toml", "holds no controller with a gain"),
+    ("synth --front ride", "names 1 axis"),
+    ("synth --front ride:ride", "names ride twice"),
+    ("synth --front ride:speed", "there is no axis 'speed'"),
+    ("synth --front band=8-4:travel", "band=8-4: not a band"),
+    ("synth --front tolerance=200:travel", "tolerance=200: not a share"),
+    ("synth --front ride:travel --controller passive", "it measures nothing"),
+    ("synth --front ride:travel --controller I --controller II", "of one controller, and 2 are given"),
+    ("synth --front ride:travel --refine", "--front designs a trade-off"),
+    ("synth --front ride:travel --point 3", "--point chooses the designs that --save writes"),
+    ("synth --csv a.csv", "--csv is of the designs of --front"),
+    ("synth --point 3", "--point is of the designs of --front"),
+    ("synth --rates 0", "--rates 0 ms is not allowed; give sample periods from 0.01 to 1000 ms"),
+    ("synth --rates nan", "'nan' is not a finite number"),
+    ("synth --rates -inf", "'-inf' is not a finite number"),
+    ("synth --rates 5 6 5", "--rates 5 ms is given twice"),
+    ("synth --rates", "expected at least one argument"),
+    (f"synth --rates {' '.join(str(1 + k / 100) for k in range(1001))}", "at most 1000"),
+    ("synth --rates 5 --refine", "--rates takes designs as they are"),
+    ("sim.drive --controller passive --load brake", "brake", "pitches", "a quarter_car only goes up and down"),
+    ("sim.drive --controller passive --vehicle half_car --load corner", "rolls", "half_car only goes up and down and pitches"),
+    ("sim.drive --controller passive --load push:g=1", "unknown load 'push:g=1'", "brake, corner, payload, lift, gust"),
+    ("sim.drive --controller passive --load brake:gs=1", "gs=1", "g, hold, rise, start"),
+    ("sim.drive --controller passive --load brake:g=x", "g = 'x' is not a number; give a number in g"),
+    ("sim.drive --controller passive --load brake:g=3", "brake g = 3 is not allowed", "from -2 to 2"),
+    ("sim.drive --controller passive --load brake:g=0.1:g=0.2", "g is given twice"),
+    ("sim.drive --controller passive --load nowhere.csv", "nowhere.csv"),
+    ("sim.drive --controller passive --load payload --road flat --seed 3", "--seed"),
+]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    """A folder of input files, some with second names, as outputs may not be."""
+    folder, text = tmp_path_factory.mktemp("places"), read_vehicle("quarter_car").text
+    (folder / "car.toml").write_text(text)
+    (folder / "given.toml").write_text(
+        text[: text.index("[controllers")] + '[controllers.mine]\nmeasured = ["sprung_velocity"]\ngain = [[-9000.0]]\n'
+    )
+    (folder / "half.toml").write_text(read_vehicle("half_car").text)
+    hopper(folder)
+    (folder / "fleet.csv").write_text("sprung_mass\n1.1\n")
+    (folder / "hump.csv").write_text("0,0\n1,0.01\n2,0\n")
+    bound = '{ peak = "suspension_deflection", road = "hump.csv", at_most = 0.09 }'
+    goal = f'[controllers.goal]\nmeasured = ["sprung_velocity"]\nbounds = [{bound}]\nfamily = "fleet.csv"\n'
+    (folder / "bounded.toml").write_text(f"{text}\n{goal}")
+    for pair in ("car.toml hard.csv", "hopper.xml hopper.svg", "hopper.xml kind.csv", "a.csv a.svg", "x.toml x.svg"):
+        one, other = pair.split()
+        (folder / one).touch()
+        os.link(folder / one, folder / other)
+    return folder
+
+
+@pytest.mark.parametrize("row", REFUSED, ids=[f"{row[0].split()[0]} {row[1]}" for row in REFUSED])
+def test_bad_options_are_refused(row, places, monkeypatch, capsys, nothing_designed):
+    """One line says what was found and what is allowed, before the work; nothing is printed, nothing is left behind."""
+    line, *words = row
+    name, *arguments = shlex.split(line.replace("MAP", MAP))
+    monkeypatch.chdir(places)
+    before = tree(places)
+    with refused(*words):
+        main_of(name)(arguments)
+    assert capsys.readouterr().out == ""
+    assert tree(places) == before
+
+
+@pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in OUTPUTS.items() for option in options])
+def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, tmp_path, monkeypatch, nothing_designed):
+    """For every output of every command, whatever stands in its way; and what can be written leaves nothing until it is.
+
+    Nor is anything written under a name that says that it is something else.
+    """
+    monkeypatch.chdir(tmp_path)
+    plain = NAMES.get(option, "out")
+    ending = Path(plain).suffix
+    (tmp_path / "file").touch()
+    (tmp_path / f"folder{ending}").mkdir()
+    ways = ["file/below"] if option in FOLDERS else [f"nowhere/{plain}", f"file/{plain}", f"folder{ending}"]
+    before = tree(tmp_path)
+    for way in ways:
+        with pytest.raises(InputError) as caught:
+            main_of(name)([*COMMANDS[name], option, way])
+        assert way in str(caught.value), caught.value
+        assert "give a name that ends in" not in str(caught.value)
+    for other in ("out", "out.txt", f"out{ending}.json") if option not in FOLDERS else ():
+        with pytest.raises(InputError, match=rf"{other}: .*; give a name that ends in .*\{ending}"):
+            main_of(name)([*COMMANDS[name], option, other])
+    with pytest.raises(AssertionError, match="the work was begun"):
+        main_of(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
+    assert tree(tmp_path) == before

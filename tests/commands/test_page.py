@@ -1,0 +1,546 @@
+"""The page by itself: what stands in it for readers with eyes, without, at night, on paper; and figures of any kind in it."""
+
+import base64
+import csv
+import dataclasses
+import hashlib
+import itertools
+import json
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+
+from models.figures.axis import Axis, axis_of
+from models.figures.direct_labels import direct_labels
+from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
+from models.figures.outputs import check_outputs
+from models.figures.page import (
+    DARK,
+    GRAPHICS,
+    LIGHT,
+    TEXT,
+    Page,
+    Section,
+    Table,
+    by_night,
+    contrast,
+    ground_by_night,
+    readable,
+    render,
+)
+from models.figures.reading import Pivot, aligned, notation, read
+from models.figures.svg import TOLERANCE, about, shade_colors, svg
+from models.laws.linear import static_law
+from models.vehicle.vehicle import read_vehicle
+from sim.report.designs import gain_table
+from sim.response.regime import REGIME_ENDS
+from tests.support.commands import ROOT
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("contourpy", reason="a report needs the extra [report]")
+
+SVG = "{http://www.w3.org/2000/svg}"
+CSS = (ROOT / "models" / "figures" / "page.css").read_text(encoding="utf-8")
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+POWER = re.compile(r"(?:(\d)·)?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
+HOSTILE = ('<script>alert("1")</script>', "a & b 'quoted' \"twice\"", "Ω" * 40, "n" * 60, "中" * 20, "]]>", "a\tb c", "{{ x }}")
+LEFTWARD = ("العربية", "עברית_1-2", "x_שלום")
+
+
+class Elements(HTMLParser):
+    """Every element of a page with its attributes, its text, and those around it; raises where elements do not nest."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[dict] = []
+        self.all: list[dict] = []
+        self.feed(page)
+        assert not self.open, f"not closed: {[one['tag'] for one in self.open]}"
+
+    def handle_starttag(self, tag, attrs) -> None:
+        assert len(dict(attrs)) == len(attrs), f"an attribute twice in {tag}"
+        one = {"tag": tag, "text": "", "around": [each["tag"] for each in self.open], **{f"@{k}": v for k, v in attrs}}
+        self.all.append(one)
+        if tag not in VOID:
+            self.open.append(one)
+
+    def handle_startendtag(self, tag, attrs) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop()["tag"] == tag
+
+    def handle_data(self, data) -> None:
+        for one in self.open:
+            one["text"] += data
+
+    def some(self, tag: str) -> list[dict]:
+        """All elements of a tag."""
+        return [one for one in self.all if one["tag"] == tag]
+
+
+def everything(names: tuple[str, ...]) -> Page:
+    """A page with every kind of figure, of controllers of these names."""
+    x, y = np.geomspace(0.1, 25, 50), np.linspace(0, 2, 4)
+    style = styles(names)
+    curves = tuple(Curve(x, (k + 1) / x, name, *style[name]) for k, name in enumerate(names))
+    points = tuple(Curve(x[::9], 1 / x[::9], "", "#d62728", "none", marker, name="found") for marker in ("o", "x", "+"))
+    z = np.add.outer(y, x)
+    ground = Classes(x, y, (z > 9).astype(int), ("#ffffff", "#7aa6d8"), ("nothing & all", "<high>"))
+    bars = Bars(
+        names, np.arange(1.0, len(names) + 1), ("0.123 m/s² (−78 %)",) * len(names), tuple(style[name][0] for name in names)
+    )
+    panels = (
+        Panel(f"lines\nof {names[0]}", "frequency <& [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
+        Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
+        Panel("shades", "mass [%]", "stiffness [%]", (), Shades(x, y, z, "norm [-]")),
+        Panel("bars", "norm", "", (), bars),
+    )
+    tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
+    figures = tuple(Figure(f"f{k}", f"figure {k}", (panel,), columns=1 + k % 2) for k, panel in enumerate(panels))
+    section = Section("What is it?", "a term", ("text",), tables, figures)
+    return Page("title", names, Section("", "", (), tables[:0], figures[:0]), (section,))
+
+
+PAGES = {
+    "plain": ("passive", "state", "I", "II"),
+    "hostile": HOSTILE,
+    "many": tuple(f"controller-{k}" for k in range(12)),
+    "leftward": LEFTWARD,
+}
+
+
+@pytest.fixture(scope="module", params=PAGES)
+def page(request) -> tuple[str, Elements]:
+    """A page with every kind of figure, and its elements."""
+    text = render(everything(PAGES[request.param]))
+    return text, Elements(text)
+
+
+def test_structure(page):
+    """One main, one first heading, contents whose links lead somewhere, no heading skipped, every identifier once."""
+    _, found = page
+    assert [one["@lang"] for one in found.some("html")] == ["en"]
+    assert len(found.some("main")) == len(found.some("h1")) == len(found.some("title")) - len(found.some("desc")) == 1
+    assert "header" in found.some("h1")[0]["around"]
+    assert found.some("nav")[0]["@aria-label"]
+    levels = [int(one["tag"][1]) for one in found.all if re.fullmatch("h[1-6]", one["tag"])]
+    assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    identifiers = [one["@id"] for one in found.all if "@id" in one]
+    assert len(set(identifiers)) == len(identifiers)
+    assert not any(re.search(r"\s", one) for one in identifiers)
+    within = [one["@href"][1:] for one in found.some("a") if "@download" not in one]
+    assert within
+    assert {*within} <= set(identifiers)
+    order = [one.get("@id", one["tag"]) for one in found.all if one.get("@id") == "answer" or one["tag"] == "nav"]
+    assert order == ["answer", "nav"]  # who comes by keyboard, by ear or by phone need not go through the contents
+
+
+def test_figures_say_what_they_show(page):
+    """Every picture is one with a title and a text, in a figure with a caption; what only decorates is passed over."""
+    _, found = page
+    texts = {one["@id"]: one["text"] for one in found.all if one["tag"] in ("title", "desc") and "@id" in one}
+    plots = [one for one in found.some("svg") if "plot" in one.get("@class", "")]
+    assert len(plots) == 4
+    for one in plots:
+        assert one["@role"] == "img"
+        assert "figure" in one["around"]
+        assert all(texts[name].strip() for name in one["@aria-labelledby"].split())
+    assert all(one["@aria-hidden"] == "true" for one in found.some("svg") if "li" in one["around"])
+    captions = found.some("figcaption")
+    assert [one["text"].split(".")[0] for one in captions] == [f"Figure {k + 1}" for k in range(len(found.some("figure")))]
+
+
+def test_tables_say_what_they_are(page):
+    """Every table has a caption, names its columns and its rows, and one that is too wide can be scrolled by keyboard."""
+    _, found = page
+    assert len(found.some("caption")) == len(found.some("table")) > 0
+    assert all(one["@scope"] == ("col" if "thead" in one["around"] else "row") for one in found.some("th"))
+    assert len([one for one in found.some("th") if one["@scope"] == "row"]) == 2 * len(found.some("table"))
+    regions = [one for one in found.some("div") if one.get("@class") == "table"]
+    captions = {one["@id"] for one in found.some("caption")}
+    assert all((one["@tabindex"], one["@role"], one["@aria-labelledby"] in captions) == ("0", "region", True) for one in regions)
+
+
+def test_only_its_own_script_and_style(page):
+    """The page's policy allows the one script and the one style that are in it, by their digests, and nothing is inline."""
+    text, found = page
+    policy = next(one["@content"] for one in found.some("meta") if one.get("@http-equiv") == "Content-Security-Policy")
+    for tag in ("script", "style"):
+        (content,) = re.findall(rf"<{tag}>(.*?)</{tag}>", text, re.S)
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+    assert not [name for one in found.all for name in one if name == "@style" or name.startswith("@on")]
+
+
+def test_names_are_text(page):
+    """Whatever a controller is called stands on the page as it is, and is no markup."""
+    text, found = page
+    captions = " ".join(" ".join(one["text"] for one in found.some("caption")).split())
+    assert any(f"of {name} CSV" in captions for name in (HOSTILE[0], "passive", "controller-0", LEFTWARD[0]))
+    assert len(found.some("script")) == 1
+    assert "alert(" not in re.sub(r"&lt;script&gt;.*?&lt;/script&gt;", "", text)
+    assert "\n".join(one["text"] for one in found.some("p")).count("{{ x }}") == text.count("<p>{{ x }}")
+
+
+def test_names_from_right_to_left_keep_to_themselves():
+    """Wherever such a name is read or seen, nothing beside it changes sides: it is an element, or between isolates."""
+    text = re.sub(r"<(script|style)>.*?</\1>|(?:id|aria-labelledby)=\"[^\"]*\"", "", render(everything(LEFTWARD)), flags=re.S)
+    for name in LEFTWARD:
+        assert text.count(f"<bdi>{name}</bdi>") >= 4  # a sentence, a caption, a cell, a legend
+        assert text.count(f"\u2068{name}\u2069") >= 3  # beside its bar, under the pointer, in the figure's words
+        assert text.count(name) == text.count(f"<bdi>{name}</bdi>") + text.count(f"\u2068{name}\u2069")
+    assert "\u2068" not in render(everything(("passive", "n" * 60, "Ω" * 40, "中" * 20)))
+
+
+@pytest.mark.attack
+def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
+    """With long names, and many, everything that a picture says is inside it, and no number beside a bar lies over a name."""
+    from matplotlib.figure import Figure as Canvas
+
+    from models.figures.picture import write_picture
+
+    drawn = []
+    save = Canvas.savefig
+    monkeypatch.setattr(Canvas, "savefig", lambda self, *some, **more: (drawn.append(self), save(self, *some, **more)))
+    names = ("passive", "__proto__", "W" * 60, "n" * 60, *(f"controller_of_some_length_{k}" for k in range(6)))
+    style, x = styles(names), np.linspace(0, 1, 9)
+    curves = tuple(Curve(x, x, name, *style[name]) for name in names)
+    bars = Bars(names, np.arange(1.0, 11.0), ("0.269 m/s² (−76 %)",) * 10, tuple(style[name][0] for name in names))
+    long = "sprung acceleration weighted, road of class C at 20 m/s: shorter is better"
+    lines = Figure("a", f"{long}, {long}, {'W' * 60}", (Panel(long, "x", "y", curves),) * 2)
+    for figure in (lines, Figure("b", long, (Panel(f"How?\n{long}", "norm", "", (), bars),) * 2, columns=2)):
+        write_picture(figure, tmp_path / "a.png")
+        canvas = drawn[-1]
+        width, height = canvas.get_size_inches()
+        box = canvas.get_tightbbox()
+        assert 0 <= box.x0 < box.x1 <= width
+        assert 0 <= box.y0 < box.y1 <= height
+        assert all("__proto__" in [text.get_text() for text in legend.get_texts()] for legend in canvas.legends)
+        for axis in canvas.axes:
+            texts = [text.get_window_extent() for text in axis.texts]
+            assert all(name.x1 < number.x0 for name, number in zip(texts[::2], texts[1::2], strict=True))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of POSIX")
+@pytest.mark.parametrize(("name", "begins"), [("l.PNG", b"\x89PNG"), ("l.svg", b"<?xml")])
+def test_the_name_that_is_given_says_what_a_picture_is(name, begins, tmp_path):
+    """Through a link of that name, whatever the name of what it leads to."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
+    from models.figures.picture import write_picture
+
+    link = tmp_path / name
+    link.symlink_to("other.txt")
+    check_outputs({"picture": link})
+    write_picture(Figure("a", "b", (Panel("c", "x", "y", (Curve(np.arange(2.0), np.arange(2.0), "d", "#000000"),)),)), link)
+    assert (tmp_path / "other.txt").read_bytes().startswith(begins)
+    assert link.is_symlink()
+
+
+def test_a_picture_needs_no_backend(tmp_path):
+    """A picture is drawn whatever MPLBACKEND says, and what it says stays for the rest of the process."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
+    code = (
+        "import os, pathlib, numpy as np\nfrom models.figures.figure import Curve, Figure, Panel\n"
+        "from models.figures.picture import check_drawing, write_picture\ncheck_drawing()\n"
+        "one = Curve(np.arange(2.0), np.arange(2.0), 'd', '#000000')\n"
+        "write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', (one,)),)), pathlib.Path('a.PNG'))\nprint(os.environ['MPLBACKEND'])"
+    )
+    environment = os.environ | {"MPLBACKEND": "nonsense", "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (ran.stdout, ran.stderr) == ("nonsense\n", "")
+    assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
+
+
+def drawn(path: str) -> np.ndarray:
+    """The points of a path, in the panel's units."""
+    points: list[np.ndarray] = []
+    for command, numbers in re.findall(r"([Ml])([^a-zA-Z]*)", path):
+        steps = np.array([int(each) for each in re.findall(r"-?\d+", numbers)]).reshape(-1, 2)
+        for step in steps:
+            points.append(step if command == "M" else points[-1] + step)
+    return np.array(points) / 100
+
+
+def test_the_picture_is_the_data():
+    """Every point of a curve lies on the picture where its axes say, to a thousandth of them; gaps are gaps.
+
+    Of a line only the points that it needs are written: all others are as near to the line through these.
+    """
+    x = np.geomspace(0.1, 25, 200)
+    y = np.exp(np.sin(3 * x))
+    y[[50, 51, 120]] = np.nan
+    panel = Panel("", "x [Hz]", "y [m]", (Curve(x, y, "I"), Curve(x, y, "", marker="o", dash="none", name="found")), xlog=True)
+    element = ElementTree.fromstring(svg(panel, "p").replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+    ends = json.loads(element.attrib["data-axes"])
+    left, top, width, height = ends["area"]
+    line, markers = (next(one for one in element.iter(f"{SVG}path") if one.get("data-name") == name) for name in ("I", "found"))
+    known = np.isfinite(y)
+    for path in (line.attrib["d"], "".join(re.findall(r"M\d+ \d+", markers.attrib["d"]))):
+        at = drawn(path)
+        assert (len(at) == known.sum()) == (path is not line.attrib["d"])
+        shares = (at - [left, top]) / [width, height]
+        across = ends["x"]["low"] * (ends["x"]["high"] / ends["x"]["low"]) ** shares[:, 0]
+        down = ends["y"]["high"] - (ends["y"]["high"] - ends["y"]["low"]) * shares[:, 1]
+        nearest = np.abs(np.log(x[known][:, None] / across)).argmin(axis=0)
+        np.testing.assert_allclose(across, x[known][nearest], rtol=1e-3)
+        np.testing.assert_allclose(down, y[known][nearest], atol=1e-3 * np.ptp(y[known]))
+        whole = np.interp(np.log(x[known]), np.log(across), down)
+        aside = (TOLERANCE + 0.01) / width * np.log(ends["x"]["high"] / ends["x"]["low"])  # 0.01 of a unit is rounding
+        below = (TOLERANCE + 0.01) / height * (ends["y"]["high"] - ends["y"]["low"])
+        steep = np.abs(np.gradient(y[known], np.log(x[known])))
+        assert (np.abs(whole - y[known]) <= below + aside * np.maximum.reduce([np.roll(steep, k) for k in (-1, 0, 1)])).all()
+    assert line.attrib["d"].count("M") == 3
+
+
+def test_cells_are_where_the_axes_say():
+    """The cells of a map's classes lie in its area, each in its row from below and its column, and leave none out."""
+    kind = np.array([[0, 1, 1, 0, 1], [1, 0, 0, 0, 1], [0, 0, 1, 2, 1]])
+    colors = ("#111111", "#222222", "#333333")
+    ground = Classes(np.arange(5.0), np.arange(3.0), kind, colors, ("a", "b", "c"))
+    element = ElementTree.fromstring(svg(Panel("", "x", "y", (), ground), "p"))
+    left, top, width, height = json.loads(element.attrib["data-axes"])["area"]
+    found = np.full(kind.shape, -1)
+    for number, path in enumerate(one.attrib["d"] for one in element.iter("path") if one.get("class", "").startswith("cells")):
+        for x, y, wide, high in re.findall(r"M([\d.]+) ([\d.]+)h([\d.]+)v([\d.]+)h-\3z", path):
+            edges = float(x) - left, float(x) + float(wide) - left
+            first, last = (round(edge / width * 5) for edge in edges)
+            assert edges == pytest.approx([first * width / 5, last * width / 5], abs=0.02)
+            row = 3 - round((float(y) + float(high) - top) / height * 3)
+            assert float(high) == pytest.approx(height / 3, abs=0.02)
+            assert (found[row, first:last] == -1).all()
+            found[row, first:last] = number
+    assert found.tolist() == kind.tolist()
+
+
+def test_every_panel_is_sound_xml():
+    """The SVG of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
+    none, x = np.zeros(0), np.array([1.0, 2.0])
+    nothing = np.full((2, 2), np.nan)
+    odd = [
+        Panel("", "x", "y", (), xlog=True, ylog=True),
+        Panel("", "x", "y", (Curve(none, none, "MuJoCo"),)),
+        Panel("", "x", "y", (Curve(x, np.full(2, np.inf), "up"), Curve(x, np.array([-1.0, 0.0]), "low")), ylog=True),
+        Panel("", "x", "y", (Curve(x, np.full(2, 7.0), "flat"),)),
+        Panel("", "x", "y", (Curve(x, np.array([1e-300, 1e300]), "wide"),), ylog=True),
+        Panel("", "x", "y", (Curve(x, np.array([0.0, 1e300]), "cut"),), ylim=(0.0, 1.0)),
+        Panel("", "x", "y", (), Shades(x, x, nothing, "none")),
+        Panel("", "x", "y", (), Shades(x, x, np.ones((2, 2)), "even")),
+        Panel("", "norm", "", (), Bars(("all", "fail"), np.full(2, np.nan), ("unstable", "unstable"), ("#000000", "#d62728"))),
+    ]
+    whole = [panel for section in everything(HOSTILE).sections for figure in section.figures for panel in figure.panels]
+    for panel in [*odd, *whole]:
+        text = svg(panel, "p")
+        ElementTree.fromstring(text)
+        assert "nan" not in re.sub(r"<(title|desc).*?</\1>", "", text)
+        assert "inf" not in re.sub(r"<(title|desc).*?</\1>", "", text)
+
+
+def test_long_names_are_shortened_beside_their_bar():
+    """A name that there is no room for is cut with dots in the picture, and whole in its text; another one is as it is."""
+    names = ("passive", "n" * 60, "中" * 20)
+    panel = Panel("bars", "norm", "", (), Bars(names, np.ones(3), ("7.843 (−78 %)",) * 3, ("#000000",) * 3))
+    element = ElementTree.fromstring(svg(panel, "p"))
+    shown = [one.text or "" for one in element.iter("text")][::2][:3]
+    assert shown[0] == "passive"
+    for text, name in zip(shown[1:], names[1:], strict=True):
+        assert text.endswith("…")
+        assert name.startswith(text[:-1])
+        assert 8 < len(text) < len(name)
+    description = element.find("desc")
+    assert description is not None
+    assert all(name in (description.text or "") for name in names)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_ticks(log):
+    """Over ranges of every size ticks lie on the axis, are neither too few nor too many, are all different, and say the truth."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        low = float(10 ** rng.uniform(-8, 8)) * (1 if log else rng.choice([-1, 1]))
+        high = low * float(10 ** rng.uniform(0.05, 9)) if log else low + float(10 ** rng.uniform(-2, 3)) * abs(low)
+        axis = Axis(low, high, log)
+        ticks = axis.ticks(6)
+        assert 2 <= len(ticks) <= 13
+        assert len({text for _, text in ticks}) == len(ticks)
+        at = axis.place(np.array([tick for tick, _ in ticks]))
+        assert np.all((at > -1e-6) & (at < 1 + 1e-6))
+        for tick, text in ticks:
+            said = POWER.sub(lambda m: f"{m[1] or 1}e{m[2].translate(PLAIN)}", text).replace("−", "-")
+            # To a hundredth of the axis where the step has so many digits that they are cut.
+            assert abs(axis.place(np.array(float(said))) - axis.place(np.array(tick))) < 0.01
+
+
+def test_axes_hold_their_numbers():
+    """Without limits every number that an axis can show lies on it, with room."""
+    values = np.array([3.0, np.nan, -2.0, np.inf, 5.0])
+    at = axis_of([values], None, False).place(values)
+    assert np.isnan(at[[1, 3]]).all()
+    assert ((at[[0, 2, 4]] > 0) & (at[[0, 2, 4]] < 1)).all()
+    at = axis_of([values], None, True).place(values)
+    assert np.isnan(at[[1, 2, 3]]).all()
+    assert ((at[[0, 4]] > 0) & (at[[0, 4]] < 1)).all()
+
+
+def variables(block: str) -> dict[str, str]:
+    """The colours that a block of the style sheet names."""
+    return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
+
+
+def test_text_can_be_read():
+    """By day and by night every colour of text has a contrast of 4.5 against all that it stands on: WCAG 2.2, level AA."""
+    by_day = variables(CSS.split("@media", 1)[0])
+    night = by_day | variables(re.findall(r"@media screen and \(prefers-color-scheme: dark\) \{(.*?)\n\}", CSS, re.S)[0])
+    assert (by_day["ground"], night["ground"]) == (LIGHT, DARK)
+    for colors in (by_day, night):
+        for text, ground in itertools.product(("ink", "soft", "link", "holds", "ends", "fails"), ("ground", "band")):
+            assert contrast(colors[text], colors[ground]) >= TEXT, (text, ground)
+
+
+def test_lines_can_be_told_from_the_ground():
+    """Any colour of a curve has a contrast of 3 by day and by night; the paper's are their own by day, black white by night."""
+    rng = np.random.default_rng(5)
+    some = ["#" + "".join(f"{part:02x}" for part in rng.integers(0, 256, 3)) for _ in range(200)]
+    for color in [*(style.color for style in STYLES.values()), *OTHERS, "#ffffff", *some]:
+        assert contrast(readable(color, LIGHT), LIGHT) >= GRAPHICS
+        assert contrast(by_night(color), DARK) >= GRAPHICS
+    assert all(readable(color, LIGHT) == color for color in (*(style.color for style in STYLES.values()), *OTHERS))
+    for ground in (*shade_colors(9), *(end.color for end in REGIME_ENDS), "#ffffff"):  # maps by night
+        assert contrast(by_night("#000000"), ground_by_night(ground)) >= GRAPHICS
+    assert contrast(by_night("#000000"), "#ffffff") < 1.05
+
+
+def test_numbers_of_a_column_are_aligned():
+    """A column has one number of decimals where each number keeps three digits, else points align; what is rounding is 0."""
+    assert aligned(["15.37", "5.564", "0"]) == ["15.37", "5.56", "0\u2008\u2007\u2007"]
+    assert aligned(["0.0481*", "0.565"]) == ["0.0481*", "0.565\u2007\u2004"]
+    assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "0\u2008\u2007", "-"]
+    assert aligned(["1.4e-03", "2.0e-05"]) == ["1.4·10⁻³", "2.0·10⁻⁵"]
+    assert aligned(["12", "3.25", "none"]) == ["12", "3.25", "none"]
+
+
+def test_one_notation():
+    """Powers, squares and tolerances are written one way; a name that looks like a number is left alone."""
+    assert notation("within 1.4e-03 of 2 m/s2, +-3 rad/s2") == "within 1.4·10⁻³ of 2 m/s², ±3 rad/s²"
+    assert notation("controller a1e-05 and v1e5") == "controller a1e-05 and v1e5"
+
+
+def test_tables_are_for_reading():
+    """What is the same in all rows stands below, repeated remarks are footnotes, long tables are pivoted; files have all."""
+    remark = "the solver of the paper stops early here"
+    rows = tuple((f"row {k}", "N", remark if k else "same", f"{k + 1}.5") for k in range(16))
+    shown = read(("what", "unit", "why", "value"), rows, 3)
+    assert shown.headings == ("what", "why", "value")
+    assert shown.same == ("unit: N",)
+    assert [row[1] for row in shown.rows] == ["same", *["(a)"] * 15]
+    assert (shown.notes, shown.folded) == ((("a", remark),), True)
+    rows = tuple((signal, "m/s2", name, f"{k}.25") for k, signal in enumerate("ab") for name in ("I", "II"))
+    table = Table(
+        "t", "of", ("signal", "unit", "controller", "peak"), rows, 3, Pivot(("signal", "unit"), "controller", ("peak",))
+    )
+    assert table.reading.headings == ("signal", "I", "II")
+    assert table.reading.rows == (("a [m/s²]", "0.25", "0.25"), ("b [m/s²]", "1.25", "1.25"))
+    assert [tuple(row) for row in csv.reader(table.csv.splitlines())] == [table.headings, *rows]
+
+
+def test_figures_carry_their_data(page):
+    """Every figure is a file of numbers and a picture within the page: sound, complete, with no script and no other address."""
+    _, found = page
+    figures = [figure for section in everything(PAGES["plain"]).sections for figure in section.figures]
+    files = {one["@download"]: one["@href"] for one in found.some("a") if "@download" in one}
+    assert {f"{figure.name}.{kind}" for figure in figures for kind in ("csv", "svg")} <= {*files}
+    for name, address in files.items():
+        head, _, body = address.partition(",")
+        text = unquote(body)
+        if name.endswith(".svg"):
+            assert head.startswith("data:image/svg+xml")
+            picture = ElementTree.fromstring(text)
+            assert picture.tag == f"{SVG}svg"
+            assert not [one for one in picture.iter() if one.tag.endswith("script") or "href" in "".join(one.attrib)]
+        else:
+            assert head.startswith("data:text/csv")
+            rows = list(csv.reader(text.splitlines()))
+            assert len({len(row) for row in rows}) == 1
+    lines = list(csv.reader(unquote(files["f0.csv"].partition(",")[2]).splitlines()))
+    assert "frequency <& [Hz]" in lines[0][0]
+    assert "gain [m]" in lines[0][1]
+    assert float(lines[1][0]) == pytest.approx(0.1)
+    assert float(lines[1][1]) == pytest.approx(10.0)  # 1 / 0.1
+
+
+def test_contrast_is_that_of_the_guidelines():
+    """Black on white has 21, grey #767676 on white is the known threshold of 4.5, and the order does not matter."""
+    assert contrast("#000000", "#ffffff") == pytest.approx(21)
+    assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
+    assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
+
+
+def test_a_figure_in_words():
+    """The text of a figure names every line with its largest value, and every class of a map with its share."""
+    x = np.linspace(0, 3, 31)
+    panel = Panel("travel\nover a bump", "time [s]", "travel [m]", (Curve(x, -((x - 1) ** 2), "I"), Curve(x, x, "", name="II")))
+    title, text = about(panel)
+    assert title == "travel; over a bump"
+    assert text.startswith("As drawn, I: largest 0 m at 1 s, least -4 at 3 s, at the end -4.")
+    assert "II: largest 3 m at 3 s" in text
+    ground = Classes(x[:2], x[:2], np.array([[0, 0], [0, 1]]), ("#ffffff", "#000000"), ("fine", "broken"))
+    assert "fine, 75 %; broken, 25 %;" in about(Panel("map", "x", "y", (), ground))[1]
+    panel = Panel("ride", "class of road", "m/s²", (Curve(np.arange(3.0), np.array([1.0, 3.0, 2.0]), "I"),), None)
+    panel = dataclasses.replace(panel, xticks=(0.0, 1.0, 2.0), xnames=("A", "B", "C"))  # classes of roads, by their names
+    assert "largest 3 at B, least 1 at A, at the end 2." in about(panel)[1]
+
+
+@pytest.mark.parametrize("every", [1, 60])
+def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
+    """Of a line that is thinned the ends, the largest and the least are the whole line's, and so are the words."""
+    y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
+    some = y[kept := thinned(y, every)]
+    assert kept[[0, -1]].tolist() == [0, 500]
+    assert (some.max(), some.min()) == (y.max(), y.min())
+    assert len(some) <= len(y) / every + 4  # two of a block that is not whole, and both ends
+    gone = np.where(np.arange(501) < 470, y, np.nan)  # a line that breaks off
+    assert np.nanmax(gone[thinned(gone, every)]) == np.nanmax(gone)
+
+
+def test_gains_are_matrices(designer):
+    """A gain's table has a column for every force, a row for every signal with its unit, and the entries of the gain."""
+    vehicle, gain = read_vehicle("full_car"), np.arange(12.0).reshape(4, 3)
+    measured = ("heave_velocity", "pitch_rate", "roll_rate")
+    table = gain_table(vehicle, dataclasses.replace(designer.design("I"), measured=measured, law=static_law(gain)))
+    assert table is not None
+    assert table.headings == ("for each", "unit", *(name.replace("_", " ") for name in vehicle.linear_model.inputs))
+    assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
+    assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
+    assert gain_table(vehicle, designer.design("passive")) is None
+
+
+def test_lines_are_named_beside_them():
+    """A label is nearest to its own line, inside the axes; lines on each other share one, and what has no room has none."""
+    x = np.linspace(0, 300, 200)
+    wave = 30 * np.sin(x / 40)
+    heights = {"low": 60 + wave, "high": 150 + wave, "copy": 150.5 + wave}
+    curves = tuple(Curve(x, y, name) for name, y in heights.items())
+    for some, expected in (("low high", ["low", "high"]), ("low high copy", ["low", "high, copy"]), ("low", [])):
+        kept = tuple(one for one in curves if one.label in some.split())
+        panel = Panel("", "x", "y", kept)
+        labels = direct_labels(panel, [(one.x, one.y) for one in kept], (300.0, 220.0), lambda text: 7.0 * len(text), 11.0)
+        assert [label.text for label in labels] == expected
+        for label in labels:
+            half = 3.5 * len(label.text)
+            beside = (x >= label.x - half) & (x <= label.x + half)
+            apart = {name: float(np.min(np.abs(y[beside] - label.y))) for name, y in heights.items() if name in some.split()}
+            assert min(apart, key=apart.__getitem__) in label.text
+            assert half <= label.x <= 300 - half
+            assert 5.5 <= label.y <= 220 - 5.5
+            assert min(apart.values()) >= 5.5  # half the height of the letters: no line runs through them

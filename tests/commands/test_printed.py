@@ -1,0 +1,228 @@
+"""The commands' output fits a terminal, whatever the vehicle, and ends with the answer."""
+
+import functools
+import random
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from models.common.printed import LINES, WIDTH, Whole, command, fitted, matrix, percent, some_sentences, table, wrapped
+from models.vehicle.vehicle import read_vehicle
+from sim.__main__ import COMMANDS, VERBS
+from sim.inspect.log import read_log
+from sim.inspect.proof import prove
+from tests.support.commands import attacks, main_of, prose
+from tests.support.pages import page
+
+ROOT = Path(__file__).parents[2]
+LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
+BUILT = "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 2e3\nactuator_bandwidth = 300.0\n"
+BUILT += "[implementation]\nsample_period = 4e-3\nnoise = { sprung_velocity = 1e-3 }\n"
+CAMPAIGN = """
+vehicles = ["full_car"]
+controllers = ["passive", "I"]
+roads = ["bump", "iso8608:class=C"]
+speeds = [10.0]
+duration = 0.4
+settle = 0.2
+timestep = 2e-3
+"""
+ALL = "--controller all --timestep 4e-3 --duration 0.2"
+SCREEN = {  # command lines, with the vehicles that the suite asks it of, and those that the attacks do
+    "synth": "quarter_car quarter_car_semi_active built / quarter_car_accelerometer quarter_car_goals half_car full_car",
+    f"sim.bump {ALL} --no-logs": "full_car /",
+    f"sim.bump {ALL} --logs logs": "/ quarter_car quarter_car_accelerometer quarter_car_semi_active half_car built",
+    "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs": "built /",
+    f"sim.drive {ALL} --class E --no-logs": "built / full_car",
+    f"sim.drive {ALL} --class E --logs logs": "/ quarter_car quarter_car_goals quarter_car_semi_active half_car",
+    "synth --rates 5 50": "/ quarter_car",
+    "synth --fragility": "/ quarter_car",
+    "synth --refine": "quarter_car_semi_active / quarter_car quarter_car_goals",
+    "synth --prove": "quarter_car / quarter_car_accelerometer",
+    "synth --cross-check": "quarter_car / quarter_car_semi_active half_car",
+    "synth --front ride:travel --picture front.svg --csv front.csv": "/ quarter_car",
+    "synth --check FILE": "quarter_car / quarter_car_accelerometer quarter_car_goals quarter_car_semi_active",
+    "sim.sweep --timestep 4e-3": "/ quarter_car quarter_car_semi_active half_car",
+    "sim.sweep --controller I --timestep 4e-3 --logs logs": "/ built",
+    "sim.margins --controller CONTROLLER --timestep 8e-3": "/ quarter_car half_car built",
+    "sim.envelope --controller CONTROLLER --vary height:0.02:0.4:2 --vary speed:5:20:2 --timestep 4e-3": "full_car built /",
+    "sim.report --quick --timestep 4e-3": "/ half_car",
+}
+ONE = {"quarter_car_accelerometer": "accelerometer", "quarter_car_goals": "comfort"}  # of others it is I
+RUN = r"agrees|DOES NOT AGREE|outside the linear regime"
+ANSWERS = {  # how the last line, or the sentence that is the last, begins
+    "synth": r"every claim holds|not every claim holds|\d+ certified designs",
+    "sim.bump": RUN,
+    "sim.drive": RUN,
+    "sim.sweep": RUN,
+    "sim.margins": RUN,
+    "sim.envelope": RUN,
+    "sim.report": "MuJoCo agrees with the analysis|nothing is refuted|something FAILS",
+    "sim.inspect": r"(the log still proves|the log DOES NOT PROVE|12 of 12 logs still prove)",
+}
+
+
+def too_wide(text: str) -> list[str]:
+    """Lines that do not fit and could: not what cannot be broken, which is alone on its line, or after the program to run."""
+    return [line for line in text.splitlines() if len(line) > WIDTH and len(line.removeprefix("  rerun ").split()) > 1]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A vehicle file with limits, an implementation, a long controller's name and an unstable loop."""
+    text = read_vehicle("quarter_car").text + f'\n[controllers.{LONG}]\nmeasured = ["sprung_velocity"]\ngain = [[-8970.3]]\n'
+    text += '[controllers.unstable]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
+    path = tmp_path_factory.mktemp("cars") / "built.toml"
+    path.write_text(text + BUILT)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("car", "line"),
+    [
+        case
+        for line, (some, _, more) in ((line, cars.partition("/")) for line, cars in SCREEN.items())
+        for case in (*((car, line) for car in some.split()), *attacks([(car, line) for car in more.split()]))
+    ],
+)
+def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsys):
+    """Without `-v` every command answers within 24 lines of 80 columns, and its last words are the verdict on each controller.
+
+    For a file of long names, limits and an unstable loop there may be more lines.
+    """
+    monkeypatch.chdir(tmp_path)
+    line = line.replace("CONTROLLER", ONE.get(car, "I")).replace("FILE", str(ROOT / "models" / f"{car}.toml"))
+    monkeypatch.setattr("synth.command.trade_off.DESIGNS", 12)  # a front of a few designs has the same lines
+    name, *arguments = shlex.split(line)
+    vehicle = built if car == "built" else car
+    main_of(name)([*arguments, *([] if "--check" in arguments else ["--vehicle", vehicle])])
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert len(out.splitlines()) <= LINES or car == "built"
+    last = prose(out[out.rindex("\n\n") :])
+    assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
+    if "all" in arguments:
+        names = read_vehicle(vehicle).controller_names
+        assert {*names} <= {*last.replace(",", " ").replace(":", " ").split()}
+
+
+def test_report_and_log(tmp_path, monkeypatch, capsys):
+    """The same of a report, which says where it is and then what came out, and of a log that is inspected."""
+    monkeypatch.chdir(tmp_path)
+    assert main_of("sim.report")(["--quick", "--timestep", "4e-3"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.startswith("report\n  report-quarter_car.html\nleft out: state_printed, I_printed, II_printed; ")
+    assert re.match(ANSWERS["sim.report"], out.splitlines()[-1])
+    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "-v"]) == 0
+    capsys.readouterr()
+    (log,) = Path("logs").glob("*.mcap")
+    for name, function in (("log.read_log", read_log), ("proof.prove", prove)):
+        monkeypatch.setattr(f"sim.inspect.{name}", functools.cache(function))  # proved once
+    for more, short in (["--csv", "signals.csv"], True), (["-v"], False), ([str(log)] * 11, True):
+        assert main_of("sim.inspect")([str(log), *more]) == 0
+        out = capsys.readouterr().out
+        assert too_wide(out) == []
+        assert (len(out.splitlines()) <= LINES) == short
+        assert re.fullmatch(ANSWERS["sim.inspect"] + ".*", out.splitlines()[-1])
+
+
+def test_campaign(tmp_path, monkeypatch, capsys):
+    """A campaign names its results and says who is best, `-v` shows its tables; --verify ends with its verdict."""
+    pytest.importorskip("pyarrow", reason="needs the extra [campaign]")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    assert main_of("sim.campaign")(["campaign.toml", "--workers", "1", "-v"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.index("results.parquet") < out.index("full_car over bump at 10 m/s")
+    assert main_of("sim.campaign")(["campaign.toml"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= LINES < len(out.splitlines())
+    assert out.endswith(short[short.index("\n\nfull_car\n") :])
+    assert main_of("sim.campaign")(["--verify", "campaign-results", "--runs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert out.endswith("\n\nthe results hold what the campaign comes to\n")
+
+
+@pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])
+def test_help_pages(name, monkeypatch, capsys):
+    """`--help` fits, examples too, has the options that the table of commands names, and ends with a page on the command."""
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as done:
+        main_of(name)(["--help"])
+    assert done.value.code == 0
+    printed = capsys.readouterr().out
+    for options in (options for known, _, options in COMMANDS if known == name):
+        assert all(re.search(rf"^  {option}\b", printed, re.M) for option in options.split())
+        assert f"python -m {name} " in page(printed.strip().splitlines()[-1].partition(": ")[2])
+    assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
+    for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
+        assert wrapped(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
+    examples = re.findall(r"^  ((?:python -m|roadproof) (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
+    assert examples
+    for words in (shlex.split(each.replace("\\\n", "")) for each in examples):
+        assert words[1] in VERBS or words[2] in VERBS.values()
+
+
+def test_sentences_keep_their_words():
+    """For random words of random lengths every line fits, none is lost, and no number is parted from its unit."""
+    draw = random.Random(20261121)
+    for _ in range(200):
+        words = [draw.choice(("MuJoCo", "7.5 m/s", "-65 +- 3.2j", "a" * draw.randint(1, 30))) for _ in range(draw.randint(1, 60))]
+        indent = " " * draw.randint(0, 8)
+        text = indent + " ".join(words)
+        lines = fitted([text])
+        assert " ".join(" ".join(lines).split()) == text.strip()
+        assert max(map(len, lines)) <= WIDTH
+        assert not any(line.endswith((" 7.5", "+-")) for line in lines)
+        assert lines[0].startswith(indent)
+        assert all(line.startswith(f"{indent}  ") for line in lines[1:])
+
+
+def test_sentences_fill_a_terminal():
+    """A terminal shows as many sentences as it has room for, the first always, and the number of those that it leaves out."""
+    sentences = ["one " * 30, "two", "three"]  # the first takes two lines
+    for others, kept in ((0, 3), (20, 3), (21, 1), (23, 1), (30, 1)):
+        lines = some_sentences(sentences, ["other"] * others)
+        assert lines[0].startswith("one one")
+        assert sum(line in ("two", "three") for line in lines) == kept - 1
+        assert (lines[-1] == "-v has 2 more sentences") == (kept == 1)
+        assert others > 22 or len(lines) + others <= LINES
+    assert some_sentences(["one", "two", "three"], ["other"] * 22) == ["one", "-v has 2 more sentences"]
+    assert some_sentences([], ["other"]) == []
+
+
+def test_what_is_copied_is_not_cut():
+    """A path that is marked so is one line, however long; a command goes on after a backslash, as a shell reads it."""
+    path = Whole("  logs/" + "folder with spaces/" * 8)
+    assert fitted([path]) == wrapped(path) == [path]
+    words = ["python -m synth", "--vehicle half_car", *(f"--controller a_controller_{i}" for i in range(9)), "--refine"]
+    lines = command(words)
+    assert max(map(len, lines)) <= WIDTH
+    assert shlex.split("\n".join(lines).replace("\\\n", "")) == shlex.split(" ".join(words))
+
+
+def test_tables_are_aligned():
+    """Numbers end in their column's last place, and a name that leaves them no room has the line above."""
+    lines = table(
+        [("name", "one", "two"), ("short", "1.5", "200"), "a heading over all", ("n" * 76, "3", "-"), ("last", "44", "5")]
+    )
+    numbers = [line for line in lines if re.search(r"\d|one", line)]
+    assert len({len(line) for line in numbers}) == 1
+    assert lines[3:5] == [f"  {'n' * 76}", lines[4]]
+    assert lines[4].split() == ["3", "-"]
+    assert max(map(len, lines)) <= WIDTH
+    rows = matrix("  gain ", [["1.5"] * 30, ["2"]])
+    assert max(map(len, rows)) <= WIDTH
+    assert eval("".join(rows).replace("  gain ", "")) == [[1.5] * 30, [2]]
+
+
+def test_shares_are_percent():
+    """A share is printed with two digits, and never with a power of ten."""
+    assert [percent(share) for share in (0.0, 1e-3, 0.994, 0.996, 1.0, 9.996, 1234.5)] == [
+        *("0 %", "0.1 %", "99 %", "100 %", "100 %", "1000 %", "123450 %")
+    ]

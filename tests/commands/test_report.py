@@ -1,0 +1,294 @@
+"""The report: one file that needs no network, with every figure drawn and every table filled, in a real browser."""
+
+import csv
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+
+from models.figures.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, level, styles
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.report import ride as report_ride
+from sim.report.__main__ import main
+from sim.report.designs import other_ways
+from synth.vehicle.designer import Designer
+from tests.support.commands import prose
+from tests.support.shared import printed
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
+
+# Of the paper's vehicle; the step divides the README's sample period, and a run takes less than half the time of one at 1 ms.
+QUICK = ("--quick", "--timestep", "0.0025", "--out", "report.html", "--json")
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+in_browser = pytest.mark.skipif(BROWSER is None, reason="needs a Chromium; on Debian: apt install chromium")
+
+
+@pytest.fixture(scope="module")
+def report() -> tuple[Path, dict]:
+    """A quick report of the paper's vehicle, and its JSON."""
+    done = printed("sim.report", *QUICK)
+    assert done.code == 0
+    return done.folder / "report.html", done.json
+
+
+def browse(page: Path, width: int, folder: Path, *options: str) -> tuple[str, str]:
+    """The page's document as the browser has it after its scripts have run, and what the browser said."""
+    assert BROWSER is not None
+    quiet = "--headless=new --no-sandbox --disable-gpu --disable-background-networking --disable-component-update --no-first-run"
+    shown = f"--window-size={width},2000 --virtual-time-budget=15000 --enable-logging=stderr --dump-dom"
+    words = [BROWSER, *quiet.split(), f"--user-data-dir={folder / 'profile'}", *shown.split(), *options, page.as_uri()]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout, done.stderr
+
+
+def test_names_and_sketch(report):
+    """A page begins with a sketch of its vehicle; names of controllers are code in its sentences, plain in title and SVG."""
+    page, result = report
+    text = page.read_text(encoding="utf-8")
+    assert result["headline"].startswith("`I` rides best, ")
+    assert "<h2><code>I</code> rides best, " in text
+    assert text.index('<figure class="vehicle">') < text.index("<h2>")
+    assert "<title>quarter_car: passive, state, I and II on a quarter car" in text
+    assert "`" not in html.unescape(unquote(html.unescape(re.sub(r"<script>.*?</script>", "", text, flags=re.S))))
+
+
+@pytest.mark.attack
+@in_browser
+def test_page_in_a_browser(report, tmp_path):
+    """Every figure is there, every table filled, nothing is complained of, and nothing asked of a network."""
+    page, result = report
+    assert "default-src 'none'" in page.read_text(encoding="utf-8")  # what would go to a network is refused, and complained of
+    dom, said = browse(page, 1600, tmp_path)
+    assert "CONSOLE" not in said, said
+    assert 'class="tip"' in dom  # the script ran
+    plots = re.findall(r'<svg class="plot[^"]*" id="([^"]+)"', dom)
+    assert len(plots) == len(set(plots)) == 4 + 8  # ride, travel, load and force; Fig. 3 and Fig. 4, four signals each
+    for name, rows in result["tables"].items():
+        table = re.search(rf'id="table-{name}".*?</table>', dom, re.S)
+        assert table
+        assert 2 <= table[0].count("<tr>") <= 1 + len(rows)  # a long one is pivoted, and whole below
+        whole = re.search(rf'id="table-{name}-whole".*?</table>', dom, re.S)
+        assert (whole or table)[0].count("<tr>") == 1 + len(rows)
+        assert "<td></td>" not in table[0].replace("> <", "><")
+
+
+HOVER = r"""
+const frame = document.querySelector("iframe"), found = [];
+frame.onload = () => {
+  const page = frame.contentDocument, tip = page.querySelector(".tip");
+  for (const path of page.querySelectorAll("#plot-bump-0 .point[data-name], #plot-summary-0 rect[data-name]")) {
+    path.scrollIntoView();
+    const box = path.getBoundingClientRect(), area = path.ownerSVGElement.getScreenCTM();
+    const [x, y] = path.getAttribute("d")?.match(/-?\d+/g).map((text) => text / 100) ?? [];
+    const at = x === undefined ? [box.left + 2, box.top + 2] : [area.a * x + area.e, area.d * y + area.f];
+    path.dispatchEvent(new PointerEvent("pointermove", {clientX: at[0], clientY: at[1], bubbles: true}));
+    found.push([path.dataset.name, tip.hidden ? "" : tip.textContent]);
+  }
+  document.title = JSON.stringify(found);
+};
+"""
+
+
+@pytest.mark.attack
+@in_browser
+def test_what_is_under_the_pointer_is_named(report, tmp_path):
+    """Over a point of MuJoCo stand whose it is, its value with its unit, and when; over a bar, whose it is and what it says."""
+    page, _ = report
+    probe = tmp_path / "probe.html"
+    probe.write_text(f'<iframe src="{page.as_uri()}" width="1400" height="2000"></iframe><script>{HOVER}</script>')
+    dom, _ = browse(probe, 1600, tmp_path, "--allow-file-access-from-files")
+    title = re.search(r"<title>(.*?)</title>", dom, re.S)
+    assert title
+    found = json.loads(html.unescape(title[1]))
+    bars = {name: tip for name, tip in found if ":" in name}
+    assert len(bars) == 4
+    assert all(tip == name for name, tip in bars.items())
+    points = dict(found[len(bars) :])
+    assert set(points) == {f"{name}, MuJoCo" for name in ("passive", "state", "I", "II")}
+    # Where several lie at one place, at rest, one of them is named.
+    assert all(re.fullmatch(r"\w+(, MuJoCo)?\n0 m/s² at 0 s", tip) for tip in points.values())
+
+
+def test_page_is_self_contained(report):
+    """Nothing in the page names another host but its own figures' kind, and it is small enough to be mailed."""
+    page, _ = report
+    text = page.read_text(encoding="utf-8")
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]+", text)
+    assert set(re.findall(r"\w+://[\w.]+", text)) == {"http://www.w3.org"}  # what SVG is called by
+    assert len(text.encode()) < 500_000
+
+
+def test_numbers_of_the_paper(report):
+    """The page has every printed number, and says of each whether ours is the same."""
+    _, result = report
+    rows = {(row["equation"], row["quantity"]): row for row in result["tables"]["paper"]}
+    assert rows["(41)", "gamma_Gs"]["paper"] == "7.8365"
+    assert rows["(41)", "gamma_Gs"]["ours"] == "7.836458"
+    assert rows["(41)", "gamma_Gs"]["to the digits printed"] == "same"
+    assert "solver" in rows["(58)", "K_II[1, 1]"]["to the digits printed"]
+
+
+@pytest.mark.attack
+def test_remarks_of_the_paper(report, designer):
+    """The page has what becomes of L = 0; a full one the genetic algorithm beside the two steps: gain, norm, work and time."""
+    _, result = report
+    without = {row["controller"]: row for row in result["tables"]["without-l"]}
+    assert [name for name, row in without.items() if row["gain"] != "none"] == ["I, states [33]"]
+    assert without["I, states [33]"]["state feedback"] == "499.63"
+    assert without["I, states [33]"]["bound"] == "510.34"
+    table = other_ways(designer)
+    ways = {row[0]: dict(zip(table.headings, row, strict=True)) for row in table.rows}
+    assert ways["II, two steps"]["gain"] == "[[-8968.54]]"
+    assert ways["II, two steps"]["work"] == "2 LMI problems"
+    assert float(ways["II, genetic"]["norm"]) < float(ways["II, two steps"]["norm"]) == pytest.approx(7.906842)
+    assert ways["I, genetic"]["work"].endswith(" norms")
+    assert float(ways["I, genetic"]["processor time [s]"]) > 0
+    assert "every entry of the gain from -20000 to 20000, seed 1" in table.caption
+
+
+@pytest.mark.attack
+def test_figures_and_tables_as_files():
+    """Every figure is there as SVG and PNG, every table as CSV with the page's numbers."""
+    done = printed("sim.report", *QUICK, "--figures", "figures")
+    folder, result = done.folder / "figures", done.json
+    for name in ("frequency-responses", "bump"):
+        assert (folder / f"{name}.svg").read_text().rstrip().endswith("</svg>")
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    for name, rows in result["tables"].items():
+        with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+            assert [list(row) for row in csv.reader(file)][1:] == [list(row.values()) for row in rows]
+    assert not list(folder.glob(".*"))
+    assert (folder / "gain-I.csv").exists()
+    assert result["not_of_this_report"] == []
+
+
+@pytest.mark.attack
+def test_what_is_old_in_a_folder_is_told(tmp_path, capsys):
+    """Into the folder of an earlier report: what that left of a controller that is not reported now is named, and not removed."""
+    common = ["--quick", "--timestep", "8e-3", "--out", str(tmp_path / "a.html"), "--figures", str(tmp_path / "f")]
+    (tmp_path / "f").mkdir()
+    (tmp_path / "f" / "gain-I.csv").touch()
+    assert main([*common, "--controller", "passive"]) == 0
+    assert "not of this report, and left in figures\n  gain-I.csv\n\n" in capsys.readouterr().out
+    assert (tmp_path / "f" / "gain-I.csv").exists()
+
+
+@pytest.mark.attack
+def test_every_kind_of_ground_is_drawn(tmp_path):
+    """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
+    from models.figures.page import Page, Section, render
+    from models.figures.picture import write_picture
+
+    x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
+    z = x + y[:, None]
+    line = Curve(*level(x, y, z, 1.5), "level", "#000000")
+    np.testing.assert_allclose(line.x[1:-1] + line.y[1:-1], 1.5)  # z is linear, so its contour is exact
+    cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8"), ("", "high")))
+    shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
+    bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([1.0, np.nan]), ("1", "none"), ("#000000", "#d62728")))
+    figure = Figure("grounds", "three", (cells, shades, bars))
+    text = render(Page("t", ("a < b",), Section("", ""), (Section("s", "t", figures=(figure,)),)))
+    assert "a &lt; b" in text
+    assert text.count('id="plot-grounds-') == 3 + 2 * 3  # each with its title and its text
+    # Over `.plot path { fill: none; }`, which would hide an area of one class alone.
+    assert all(f".plot .g-{color}, .legend .g-{color} {{ fill: " in text for color in ("ffffff", "7aa6d8", "ffffe5", "662506"))
+    assert ".bars .f-000000 { fill: " in text
+    for name in ("a.svg", "b.svg"):
+        write_picture(figure, tmp_path / name)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_names_in_any_script_are_drawn_without_a_word(tmp_path, recwarn):
+    """A name that the font of pictures has no letters for is no reason to say anything on the terminal."""
+    from models.figures.picture import write_picture
+
+    names = ("中文控制器", "n" * 60)
+    bars = Panel("bars", "norm", "", (), Bars(names, np.ones(2), ("1", "1"), ("#000000", "#d62728")))
+    write_picture(Figure("names", "", (bars,)), tmp_path / "a.png")
+    assert not [str(one.message) for one in recwarn]
+
+
+def test_styles_tell_controllers_apart():
+    """The paper's controllers have the paper's dashes, others other ones, each its own; none differ by colour alone."""
+    found = styles(("passive", "I", "mine", "yours"))
+    assert found["I"].dash == "dashdot"
+    assert len(set(found.values())) == 4
+    many = styles(tuple(f"mine-{k}" for k in range(30)))
+    assert len(set(many.values())) == 30
+    assert len({(style.dash, style.marker) for style in [*many.values()][:20]}) == 20
+    lines = [(style.color, style.dash) for style in styles((*STYLES, *many)).values()]
+    assert len(set(lines)) == len(lines)
+
+
+@pytest.mark.attack
+def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):
+    """If an unstable loop is left out of some figures, the other controllers keep their colours and dashes in them."""
+    path = tmp_path / "three.toml"
+    gains = {"bad": 60000.0, "mild": -5000.0, "firm": -9000.0}
+    sections = [f'[controllers.{name}]\nmeasured = ["sprung_velocity"]\ngain = [[{gain}]]\n' for name, gain in gains.items()]
+    path.write_text("\n".join([read_vehicle("quarter_car").text, *sections]))
+    asked = [word for name in gains for word in ("--controller", name)]
+    out = tmp_path / "page.html"
+    assert main(["--quick", "--timestep", "8e-3", "--vehicle", str(path), *asked, "--out", str(out)]) == 0
+    legends = re.findall(r'<ul class="legend.*?</ul>', out.read_text(encoding="utf-8"), re.S)
+    entries = [re.findall(r'<line class="(\S+)"[^>]*stroke-dasharray="([^"]*)".*?</svg>(\w+)', one, re.S) for one in legends]
+    looks = [{name: (color, dash) for color, dash, name in one} for one in entries if one]
+    assert [set(one) for one in looks] == [{"mild", "firm"}, {"bad", "mild", "firm"}]  # frequency responses, the bump
+    assert all(looks[0][name] == looks[1][name] for name in ("mild", "firm"))
+
+
+@pytest.mark.attack
+def test_ride_is_of_runs_that_came_through(monkeypatch):
+    """A loop that diverges over every road has no ride: `test_report_numbers.py` has the numbers of those that do not."""
+    monkeypatch.setattr(report_ride, "CLASSES", "B")
+    monkeypatch.setattr(report_ride, "WINDOW", 2.0)
+    vehicle = parse_vehicle(
+        read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n', source="wild"
+    )
+    rides = [*report_ride.OverRoads(vehicle, Designer(vehicle).design("wild"), 2e-3).rides()]
+    rows = report_ride.ride_section(vehicle, rides, styles(("wild",))).tables[0].rows
+    assert {row[4:] for row in rows} == {("-", "-", "-", "4 of 4 flat or diverged")}
+
+
+OTHERS = """
+[controllers.accelerated]
+measured = ["suspension_deflection", "sprung_acceleration"]
+A = [[-300.0]]
+B = [[0.0, 300.0]]
+C = [[-50.0]]
+D = [[8000.0, 0.0]]
+[implementation.noise]
+sprung_acceleration = 0.01
+"""
+
+
+@pytest.mark.attack
+def test_what_is_left_out_is_said(tmp_path, capsys):
+    """All controllers of a file are reported but printed copies, and one line names these and how to have them.
+
+    If neither I nor II is in the file, all that is there is reported.
+    """
+    text = read_vehicle("quarter_car").text
+    for name, content in (("car", text), ("other", text.partition("[controllers")[0])):
+        (tmp_path / f"{name}.toml").write_text(content + OTHERS)
+    options = ["--quick", "--timestep", "8e-3", "--out", str(tmp_path / "car.html"), "--vehicle"]
+    assert main([*options, str(tmp_path / "car.toml"), "--brief"]) == 0, (
+        "nor is noise refused that only one of the others measures"
+    )
+    rest = "state_printed, I_printed, II_printed"
+    assert "Not on this page, though in the vehicle file: <code>state_printed</code>" in (tmp_path / "car.html").read_text(
+        "utf-8"
+    )
+    said = prose(capsys.readouterr().out)
+    assert f"left out: {rest}; to have one, name it with --controller, which may be all" in said
+    assert main([*options, str(tmp_path / "other.toml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["left_out"] == []
+    assert [row["controller"] for row in found["tables"]["designs"]] == ["passive", "state", "accelerated"]

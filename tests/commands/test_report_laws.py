@@ -1,0 +1,121 @@
+"""Laws in Python in a report: what physics says of them, and a dash where only analysis would know."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.roads.road import Bump
+from models.vehicle.vehicle import read_vehicle
+from sim.report import ride as report_ride
+from sim.report.__main__ import main
+from sim.runs.dampers import shortfalls
+from sim.runs.run import run_controllers, sample_times
+from sim.studies.frequency.describing_function import describing_function
+from synth.vehicle.designer import Designer
+from tests.models.test_python_laws import vehicle_of
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
+
+STEP = 2e-3  # s
+SKYHOOK = """
+import numpy as np
+def step(sample, state):
+    body, wheel = sample["sprung_velocity"], sample["unsprung_velocity"]
+    return np.where(body * (body - wheel) > 0, -3000.0 * body, 0.0)[:, None], state
+step.vectorised = True
+"""
+MEASURED = ("sprung_velocity", "unsprung_velocity")
+
+
+def report_of(folder: Path, capsys, *options: str, step: float = STEP) -> tuple[dict, Path]:
+    """A report of a skyhook law: its JSON, and its vehicle file."""
+    path, page = vehicle_of(folder, SKYHOOK, measured=MEASURED), folder / "report.html"
+    arguments = ["--vehicle", str(path), "--timestep", str(step), "--out", str(page), "--json", *options]
+    assert main(arguments) == 0
+    return json.loads(capsys.readouterr().out), path
+
+
+def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
+    """Returns those rows of a table that are of a controller."""
+    return [row for row in found["tables"][table] if row["controller"] == name]
+
+
+@pytest.mark.attack
+def test_a_law_stands_beside_the_others(tmp_path, capsys):
+    """A quick report has a law's bump and agreement as physics makes them, and dashes, with a reason, for what nobody proves."""
+    found, path = report_of(tmp_path, capsys, "--quick", "--controller", "passive", "--controller", "mine")
+    assert found["verdict"] == "holds"
+    (design,) = rows_of(found, "designs")
+    assert [design[key] for key in ("bound", "norm", "lower bound", "slowest pole [1/s]")] == ["-"] * 4
+    assert design["certificate"] == "no linear claim: a law in Python"
+    assert any(said.startswith("Of `mine` there is no linear claim, as it is a law in Python") for said in found["answer"])
+    orders = {row["its order"] for row in rows_of(found, "agreement")}
+    assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces
+    vehicle = read_vehicle(path)
+    (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], Bump(), sample_times(vehicle, 3.0, STEP))
+    for row in rows_of(found, "bump"):
+        signal = row["signal"].replace(" ", "_")
+        assert row["peak, MuJoCo"] == f"{float(run.physics.peak(signal)):.5g}"
+        assert row["rms, sampled"] == f"{float(run.sampled.rms(signal)):.5g}"
+    (short,) = rows_of(found, "summary")
+    assert (short["H-infinity norm"], short["analysis true up to"]) == ("-", "-")
+    assert short["over the paper's bump"] == "agrees throughout"
+    assert not rows_of(found, "regime")
+
+
+@pytest.mark.attack
+def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
+    """A whole report of a law alone has its describing function and its ride from physics, and no margins, norms or map."""
+    monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
+    monkeypatch.setattr("sim.report.worker_processes.processes", lambda *_: 0)  # these are of this process
+    for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
+        monkeypatch.setattr(report_ride, name, value)
+    found, path = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
+    assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
+    vehicle = read_vehicle(path)
+    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, 2 * STEP, Bump().speed)
+    table = {row["signal"].replace(" ", "_"): row for row in rows_of(found, "describing-functions")}
+    assert set(table) == set(own.outputs)
+    for i, name in enumerate(own.outputs):
+        assert table[name]["fundamental"] == f"{np.abs(own.measured[:, i]).max():.4g}"
+        assert table[name]["energy outside"] == f"{100 * np.nanmax(own.outside[:, i]):.2g} %"
+    ride = rows_of(found, "ride")
+    assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}
+    load = [float(row["MuJoCo"]) for row in ride if row["metric"] == "dynamic load"]
+    assert load[1] / load[0] == pytest.approx(2, rel=0.05)  # a class is twice as rough, and such a skyhook is homogeneous
+
+
+def test_a_law_that_fails_is_one_line(tmp_path):
+    """No page is written of a law that fails."""
+    path = vehicle_of(tmp_path, "def step(sample, state):\n    return 1 / 0, state\n")
+    page = tmp_path / "report.html"
+    with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: step fails \(ZeroDivisionError"):
+        main(["--vehicle", str(path), "--controller", "mine", "--quick", "--out", str(page)])
+    assert not page.exists()
+
+
+@pytest.mark.attack
+def test_dampers_that_are_short_of_force(tmp_path, capsys):
+    """A report of a car with adjustable dampers says how much force they leave out, and which loop its linear claims are of."""
+    page, vehicle = tmp_path / "report.html", read_vehicle("quarter_car_semi_active")
+    arguments = ["--vehicle", "quarter_car_semi_active", "--quick", "--timestep", f"{STEP}", "--json", "--controller", "I"]
+    assert main([*arguments, "--controller", "skyhook", "--out", str(page)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
+    (one,) = shortfalls(vehicle, run.physics).values()
+    (said,) = [line for line in found["answer"] if "leave out" in line]
+    assert f"{percent(one.rms)} with `I`" in said
+    assert found["answer"][0].startswith("Of `skyhook` there is no linear claim, as it is a semi-active law")
+    rows = {row["controller"]: row for row in found["tables"]["summary"]}
+    assert rows["I"]["analysis true up to"].endswith(" m")
+    (end,) = [row for row in found["tables"]["regime"] if row["controller"] == "I"]
+    assert (end["predicted end"], end["ended by"]) == ("lift-off", "lift-off")
+    assert float(end["off by, of a peak"]) < 1e-3  # RK4's at 2 ms, of the switched response; of the linear one it is 1
+    bump = [row for row in found["tables"]["bump"] if row["controller"] == "I"]
+    assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.ended['damper']:.4g}"}
+    assert {row["to continuous"] for row in found["tables"]["agreement"]} == {"-"}

@@ -1,0 +1,443 @@
+"""The numbers of a report are true: every headline, table and sentence against the commands' own JSON, with the same
+parameters."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.figures.figure import styles
+from models.roads.road import Bump
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.drive import main as drive
+from sim.envelope import main as envelope
+from sim.margins import main as margins
+from sim.report.__main__ import main as report
+from sim.report.agreement import energy_table
+from sim.report.headline import over_the_bump, worst
+from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
+from sim.report.scope import Scope
+from sim.runs.run import run_controllers, sample_times
+from sim.studies.ride.standing import digits
+from sim.sweep import main as sweep
+from synth.__main__ import main as synth
+from tests.commands.test_report import QUICK
+from tests.support import shared
+from tests.support.commands import attacks
+from tests.support.pages import site
+from tests.support.reading import PageRead, number
+
+pytest.importorskip("jinja2", reason="a report needs the extra [report]")
+
+REALITY, *_ = site("Limits").blocks("toml")
+NAMES = ("passive", "state", "I", "II")
+STEP = ("--timestep", "0.0025")  # that of `QUICK`
+COARSE = ("--timestep", "0.005")  # where a page is not held against others
+
+
+def printed(capsys, command, *arguments) -> dict:
+    """Returns what a command prints with --json."""
+    capsys.readouterr()
+    command([*arguments, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def page(folder: Path, *arguments: str, step: tuple[str, str] = STEP) -> PageRead:
+    """The page of a report, read."""
+    path = folder / "report.html"
+    assert report(["--quick", *step, "--out", str(path), *arguments]) == 0
+    return PageRead(path)
+
+
+def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
+    """A vehicle that ships, with more sections."""
+    path = folder / f"{kind}.toml"
+    path.write_text(read_vehicle(kind).text + "\n" + extra)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def plain() -> PageRead:
+    """A report of the paper's vehicle as it ships."""
+    return PageRead(shared.printed("sim.report", *QUICK).folder / "report.html")
+
+
+@pytest.fixture(scope="module")
+def real_file(tmp_path_factory) -> str:
+    """The README's example: limits, a sample period, a delay, noise and quantisation."""
+    return vehicle_file(tmp_path_factory.mktemp("real"), REALITY)
+
+
+@pytest.fixture(scope="module")
+def real() -> PageRead:
+    """A report of that vehicle."""
+    files = {"quarter_car.toml": read_vehicle("quarter_car").text + "\n" + REALITY}
+    return PageRead(shared.printed("sim.report", *QUICK, "--vehicle", "quarter_car.toml", files=files).folder / "report.html")
+
+
+def held(row: dict[str, str], said: dict[str, str]) -> None:
+    """Asserts that a row of the page has the cells that follow from a command's JSON."""
+    assert {heading: row[heading] for heading in said} == said
+
+
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
+def test_tables_are_what_the_commands_print(which, request, real_file, capsys):
+    """Norms are those of `synth`; what the tables have of the paper's bump, the summary and the comparison is of `sim.bump`."""
+    read: PageRead = request.getfixturevalue(which)
+    vehicle = ["--vehicle", real_file] if which == "real" else []
+    found = {one["name"]: one for one in printed(capsys, synth, *vehicle)["controllers"]}
+    for name in NAMES:
+        one, bound = found[name], found[name]["bound"]
+        ideal = {"norm": f"{one['norm']:.7g}", "peak [Hz]": f"{one['peak_frequency'] / (2 * np.pi):.5g}"}
+        held(read.row("designs", controller=name), ideal | {"bound": f"{bound:.7g}" if bound else "-"})
+        assert f"{name} {one['norm']:.4g}" in " ".join(read.answer[:2])
+    result = printed(capsys, bump, *(f"--controller={name}" for name in NAMES), *vehicle, *STEP, "--no-logs")
+    kinds = {"MuJoCo": "mujoco", "sampled": "sampled", "continuous": "continuous"}
+    for run in result["runs"]:
+        name, energy = run["controller"]["name"], run["energy"]
+        for signal, one in run["signals"].items():
+            key = {"controller": name, "signal": signal.replace("_", " ")}
+            held(read.row("agreement", **key), {f"to {kind}": f"{one['error'][kind]:.1e}" for kind in ("sampled", "continuous")})
+            if signal in read_vehicle("quarter_car").performance:
+                cells = {f"{what}, {mine}": f"{one[what][kinds[mine]]:.5g}" for what in ("peak", "rms") for mine in kinds}
+                held(read.row("bump", **key), cells)
+        cells = {f"{key} [J]": f"{energy[key]:.5g}" for key in ("road", "actuators", "stored", "dissipated")}
+        cells |= {"turned over [J]": f"{energy['turnover']:.5g}", "left over": f"{energy['residual']:.1e}"}
+        held(read.row("energy", controller=name), cells | {"allowed": f"{energy['allowed']:.1e}"})
+        felt, until = run["signals"]["sprung_acceleration"]["rms"], run["until"]
+        cells = {"sprung acceleration, rms [m/s²], predicted": f"{felt['sampled']:.3g}", "in MuJoCo": f"{felt['mujoco']:.3g}"}
+        cells |= {"over the paper's bump": "agrees throughout" if until is None else f"agrees until {until:.3g} s"}
+        held(read.row("summary", controller=name), cells | {"H-infinity norm": f"{found[name]['norm']:.4g}"})
+    assert len(read.tables["bump"]) == 16
+    compared, best = result["compared"]["controllers"], result["compared"]["best"]
+    for one in compared:
+        name = one["controller"]
+        ride, travel = (
+            f"{digits(one[key] * scale)}{'*' * (name in best[key])}" for key, scale in (("ride", 1), ("peak_travel", 1e3))
+        )
+        change = f"{100 * (one['ride'] / compared[0]['ride'] - 1):+.0f}" if one is not compared[0] else "-"
+        cells = {"ride [m/s²]": ride, "ride, %": change} | ({"peak travel [mm]": travel} if which == "plain" else {})
+        held(read.row("compared", controller=name), cells)
+    assert which == "real" or shared.printed("sim.report", *QUICK).json["compared"] == result["compared"]
+
+
+def test_the_first_screen_answers(plain):
+    """Who is best at what, and by how much against passive, is what the table says, in words and in bars."""
+    rows = {row["controller"]: row for row in plain.tables["compared"]}
+    for heading, verb in (("ride [m/s²]", "rides best"), ("dynamic load [-]", "holds the road best")):
+        less = f"{heading.split(' [')[0].replace('dynamic', 'tyre')}, %"
+        changes = {name: f" {row[less].replace('-', '−')} %" if row[less] != "-" else "" for name, row in rows.items()}
+        bars = [f"{name}: {row[heading].rstrip('*')}{changes[name]}{' ★' * ('*' in row[heading])}" for name, row in rows.items()]
+        assert f"{'. '.join(bars)}." in plain.text
+        for name in [name for name, row in rows.items() if row[heading].endswith("*")]:
+            (said,) = [said for said in plain.lead if said.startswith((f"{name} ", f"{name},"))]
+            assert f"{verb} ({rows[name][heading].rstrip('*')}" in said
+    assert plain.headline.startswith("I rides best, ")
+
+
+@pytest.mark.attack
+def test_dive_is_what_a_drive_says(tmp_path, capsys):
+    """The dive of a car under 0.5 g stands on the first screen, as `sim.drive` measures it."""
+    read = page(tmp_path, "--vehicle", "half_car", "--controller", "passive", "--controller", "II", step=COARSE)
+    road = ("--road", "flat", "--load", "brake:g=0.5", "--duration", "3", "--no-logs", *COARSE)
+    runs = printed(capsys, drive, "--vehicle", "half_car", "--controller", "passive", "--controller", "II", *road)["runs"]
+    for run in runs:
+        row = read.row("compared", controller=run["controller"]["name"])
+        dive = run["metrics"]["pitch_angle_dive"]["mujoco"]
+        assert float(row["dive under 0.5 g [deg]"]) == pytest.approx(dive, rel=0.03)  # 2 digits
+
+
+def test_requirements_stand_first(plain, real):
+    """What the vehicle file asks for stands before all else, with who keeps it: limits by the run, goals by their proof."""
+    assert next(iter(real.tables)) == "requirements"
+    for row in real.tables["requirements"]:
+        until = float(real.row("bump", controller=row["controller"], signal="control force")["linear until [s]"])
+        kept = row["result"] == "✓ not reached"
+        assert kept or float(row["result"].removeprefix("✗ at ").removesuffix(" s")) >= until  # of several ends, the first
+        assert kept or until < 3
+    assert any(row["result"].startswith("✗") for row in real.tables["requirements"])
+    assert "requirements" not in plain.tables
+
+
+@pytest.mark.parametrize("which", attacks(["plain", "real"]))
+def test_frequency_responses(which, request, real_file, capsys):
+    """The errors of the lines, and the headline's bound on them, are what `sim.sweep` says."""
+    read = request.getfixturevalue(which)
+    vehicle = ["--vehicle", real_file, "--controller", "II"] if which == "real" else []
+    asked = vehicle or ["--controller", "passive", "--controller", "I"]
+    result = printed(capsys, sweep, *asked, *STEP)
+    errors = []
+    for one in result["sweeps"]:
+        largest = {key: max(signal["error"][key] for signal in one["signals"].values()) for key in ("sampled", "continuous")}
+        cells = {"error to sampled": f"{largest['sampled']:.1e}", "to continuous": f"{largest['continuous']:.1e}"}
+        cells |= {"order of the two": f"{one['order']:.2f}" if one["order"] is not None else "-"}
+        held(read.row("frequency-responses", controller=one["controller"]), cells)
+        errors.append(largest["sampled"])
+    (bound,) = re.findall(r"Every frequency response in MuJoCo is within (\S+) of the exact", " ".join(read.answer))
+    shown = max(float(row["error to sampled"]) for row in read.tables["frequency-responses"])
+    assert max(errors) <= number(bound) <= 1.1 * max(shown, *errors)
+
+
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
+def test_end_of_the_linear_regime(which, request, real_file, tmp_path, capsys):
+    """The height at the top is the table's, and on either side of it the other commands see nothing break, and that break."""
+    read = request.getfixturevalue(which)
+    (headline,) = [text for text in read.answer if "m at 12.5 m/s" in text]
+    said = re.findall(r"(\w+) ([\d.]+) m \(([a-z -]+)\)", headline)
+    assert [name for name, *_ in said] == list(NAMES)
+    noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
+    vehicle = ["--vehicle", noiseless] if which == "real" else []
+    for name, height, end in said:
+        row = read.row("regime", controller=name)
+        stays, leaves = float(row["MuJoCo stays linear at [m]"]), float(row["and not at [m]"])
+        assert height == f"{(stays + leaves) / 2:.3g}"
+        assert f"{height} m" in read.row("summary", controller=name).values()
+        assert stays < float(row["at [m]"]) < leaves < 1.0025 * stays
+        assert row["predicted end"] == row["ended by"] == end
+        if name in ("passive", "state"):
+            continue
+        # The linear prediction of another command, at heights that the page does not have, at the page's very speed.
+        axes = ("--vary", f"height:{0.995 * stays}:{1.005 * leaves}:2", "--vary", "speed:12.5:13:2")
+        cells = printed(capsys, envelope, "--controller", name, *axes, *STEP, *vehicle)["cells"]
+        below, above = (cell for cell in cells if cell["speed"] == 12.5)
+        assert (below["broke_first"], below["predicted"]) == (None, None)
+        assert (above["broke_first"], above["predicted"]) == (end, end)
+
+
+def test_passive_by_hand(plain, capsys):
+    """The height at which the passive car lifts off is its static tyre deflection over that of a bump of a metre."""
+    result = printed(capsys, bump, "--controller", "passive", "--height", "0.2", "--no-logs", *STEP)
+    (run,) = result["runs"]
+    # Its tyre is longest, not shortest, at its peak: 6.42 mm against 6.13 mm over the paper's bump.
+    per_metre = run["signals"]["tyre_deflection"]["peak"]["sampled"] / 0.2
+    static = (504.5 + 62.0) * 9.81 / 252000.0
+    assert float(plain.row("regime", controller="passive")["at [m]"]) == pytest.approx(static / per_metre, rel=1e-4)
+
+
+def test_green_only_throughout(plain, real):
+    """The box is green where the comparison held throughout; amber where it ended, with when and why."""
+    assert (plain.state, real.state) == ("holds", "ends")
+    assert "MuJoCo agrees with the analysis, over the paper's bump throughout" in plain.text
+    for name in NAMES:
+        until = float(real.row("bump", controller=name, signal="tyre deflection")["linear until [s]"])
+        assert until < 0.2
+        assert f"{name} agrees with the linear analysis of the loop as built until {until:.3g} s of 3 s" in " ".join(real.answer)
+        # What ended over 0.1 m has to end below 0.1 m.
+        assert float(real.row("regime", controller=name)["MuJoCo stays linear at [m]"]) < 0.1
+
+
+def test_every_number_names_its_loop(plain, real):
+    """With limits and an implementation the page says what is of which loop, and lists their values, frequencies in Hz."""
+    for words in ("±0.08 m", "±2000 N", "60 rad/s", "every 5 ms", "1 sample late", "0.005 rms on sprung_velocity"):
+        assert words in real.answer[0]
+    assert real.answer[1].startswith("H-infinity norms of the ideal loop: passive 35.07")
+    assert "As built, without its noise and quantisation, at a step of 2.5 ms: passive 35.07" in real.answer[1]
+    listed = {row["parameter [SI]"]: row["value"] for row in real.tables["vehicle"]}
+    limits = {"suspension_stroke": "0.08", "stop_stiffness": "100000", "actuator_force": "2000", "actuator_bandwidth": "60"}
+    held(listed, {f"[limits] {name}": value for name, value in limits.items()})
+    built = {"sample_period": "0.005", "delay": "1", "noise of sprung_velocity": "0.005"}
+    built |= {"quantisation of sprung_velocity": "0.001"}
+    held(listed, {f"[implementation] {name}": value for name, value in built.items()})
+    listed = {row["parameter [SI]"]: row["value"] for row in plain.tables["vehicle"]}
+    assert listed["[limits]"] == listed["[implementation]"] == "none"
+    assert "as built" not in plain.text
+    assert plain.text.count("rad/s") == plain.text.count("a bandwidth in rad/s. All other frequencies on this page are in Hz.")
+
+
+def test_no_sentence_stands_above_noise(plain, real):
+    """The effect of RK4 and the step is said of runs without noise only; seeds are listed where something is random."""
+    assert plain.row("provenance", what="seeds")["value"] == "none: nothing is random"
+    assert real.row("provenance", what="seeds")["value"] == "0, of the noise on measurements"
+    for row in real.tables["agreement"]:
+        assert (row["its order"] == "-") or row["controller"] == "passive"
+    assert "tends to the continuous one with order 1" in plain.text
+    assert "tends to the continuous one with order 1" not in real.text
+    assert "held to six of the standard deviations" in real.text
+    assert "standard deviations that the noise" not in plain.text
+
+
+@pytest.mark.attack
+def test_no_height_is_claimed_where_the_analysis_is_not_true(tmp_path):
+    """Who does not agree over the paper's bump has no height below which the analysis is true, wherever the page says one."""
+    extra = "[implementation]\nquantisation = { sprung_velocity = 0.05, suspension_deflection = 0.01 }\n"
+    read = page(tmp_path, "--vehicle", vehicle_file(tmp_path, extra), "--controller", "I", "--controller", "passive", step=COARSE)
+    wrong = {name for name in ("I", "passive") if "NOT AGREE" in read.row("summary", controller=name)["over the paper's bump"]}
+    assert wrong <= {"I"}  # passive measures nothing
+    (said,) = [text for text in read.answer if text.startswith("Over bumps of 5 m")]
+    heights = said.split("height of: ")[1].split(".  MuJoCo")[0]
+    for name in ("I", "passive"):
+        height = read.row("summary", controller=name)["analysis true up to, without its quantisation"]
+        assert (height == "none claimed") == (f"{name} 0." not in heights) == (name in wrong)
+    assert ("For I no height is claimed" in read.text) == bool(wrong)
+
+
+def test_orders(plain):
+    """MuJoCo is the sampled response to order 4, and that the continuous one to order 1, or 2 without a force."""
+    for row in plain.tables["agreement"]:
+        if row["its order"] != "-":
+            assert float(row["its order"]) == pytest.approx(4, abs=0.15)
+        if row["order of that"] != "-":
+            expected = 2 if row["controller"] == "passive" else 1
+            # At 2.5 ms the wheel's velocity still has a good part of its difference from the road, of order 2.
+            assert expected - 0.2 < float(row["order of that"]) < 2.2
+        assert float(row["to sampled"]) <= float(row["allowed"])
+
+
+def test_sample_period_is_checked_first(tmp_path, monkeypatch):
+    """A timestep that does not divide the controller's sample period is refused in a line, before any design."""
+    monkeypatch.setattr("synth.vehicle.designer.Designer.design", None)
+    file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\n")
+    with pytest.raises(InputError, match=r"sample_period = 0\.005 s is no multiple of the timestep, 0\.002 s"):
+        report(["--vehicle", file, "--timestep", "0.002", "--out", str(tmp_path / "r.html")])
+
+
+@pytest.mark.attack
+def test_unstable_as_built(tmp_path):
+    """A loop that only its computer makes unstable is named at the top, and is no reason not to write the rest."""
+    file = vehicle_file(tmp_path, "[implementation]\ndelay = 30\n")  # 150 ms at 5 ms; II bears 87
+    read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "II", step=COARSE)
+    assert read.state == "ends"
+    assert "II is stable ideally and UNSTABLE as built" in read.text
+    assert {row["controller"] for row in read.tables["frequency-responses"]} == {"passive"}
+    assert {row["controller"] for row in read.tables["regime"]} == {"passive"}
+
+
+def test_nothing_stable(tmp_path):
+    """A report of nothing but an unstable loop is written, and says so."""
+    file = vehicle_file(tmp_path, '[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[1e5]]\n')
+    read = page(tmp_path, "--vehicle", file, "--controller", "bad")
+    assert "The loop of bad is UNSTABLE" in read.text
+    assert read.state == "ends"
+    assert "frequency-responses" not in read.tables
+
+
+@pytest.mark.attack
+def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
+    """The whole report of the README's example finishes, and its margins and its map are what the commands say."""
+    path = tmp_path / "report.html"
+    assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), *COARSE]) == 0
+    read = PageRead(path)
+    assert read.state == "ends", read.answer
+    assert len(path.read_bytes()) < 500_000
+    ride = read.row("ride", controller="II", metric="sprung acceleration weighted", **{"class": "C"})
+    assert read.row("compared", controller="II")["ride [m/s²]"] == f"{digits(float(ride['MuJoCo']))}*"
+    found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file)
+    units = {"delay [ms]": ("delay", 1e3), "sample period [ms]": ("sample_period", 1e3), "phase lag [rad]": ("phase", 1)}
+    for name, (key, factor) in units.items():
+        cells = {mine: f"{factor * found[key][theirs]:.5g}" for mine, theirs in (("predicted", "predicted"), ("MuJoCo", "found"))}
+        held(read.row("margins", controller="II", margin=name), cells)
+    held(read.row("robustness", controller="II"), {"worst norm": f"{found['robustness']['worst_norm']:.5g}"})
+
+    axes = ("--vary", "height:0.02:0.3:20", "--vary", "speed:3:30:20", *COARSE)
+    noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
+    cells = printed(capsys, envelope, "--controller", "II", "--vehicle", noiseless, *axes)["cells"]
+    shares = {f"{end} first": [cell["broke_first"] == end for cell in cells] for end in ("lift-off", "bump stop", "flat tyre")}
+    shares |= {"linear analysis holds": [cell["holds"] for cell in cells]}
+    row = read.row("validity", controller="II")
+    held(row, {heading: f"{100 * np.mean(share):.1f} %" for heading, share in shares.items()})
+    held(row, {"as predicted": f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"})
+
+
+@pytest.mark.parametrize(
+    ("more", "left_out"),
+    [
+        ("", None),
+        ("[limits]\nactuator_bandwidth = 60.0\n[implementation]\nsample_period = 0.005\ndelay = 1\n", None),
+        ("[limits]\nactuator_force = 2000.0\n", "forces up to ±2000 N"),
+        ("[implementation]\ndelay = 1\nnoise = { sprung_velocity = 0.005 }\n", "noise of 0.005 rms on sprung_velocity"),
+    ],
+)
+def test_ride_says_what_its_prediction_leaves_out(paper, more, left_out):
+    """The text over the ride table names what the linear loop does not have, and nothing that it does have."""
+    said = re.search(r"sampled linear loop(.*?)\. Both", ride_text(parse_vehicle(paper.text + more)))
+    assert said is not None
+    assert said[1] == (f", which leaves out {left_out}" if left_out else "")
+
+
+@pytest.mark.attack
+def test_ride_is_what_drive_says(paper, designer, capsys):
+    """A row of the ride table is the mean of `python -m sim.drive` over its roads, and its prediction that command's."""
+    section_table, _ = ride_section(paper, [*OverRoads(paper, designer.design("I"), 1e-3).rides()], styles(("I",))).tables
+    rows = {row[2]: row for row in section_table.rows if row[0] == "C"}
+    options = ("--controller", "I", "--class", "C", "--speed", f"{SPEED}", "--no-logs")
+    start = printed(capsys, drive, *options, "--seed", "0", "--duration", "20")["measured_from"]
+    length = ("--duration", f"{start + WINDOW}")
+    runs = [printed(capsys, drive, *options, *length, "--seed", f"{seed}")["runs"][0] for seed in SEEDS]
+    for metric in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
+        row, found = rows[metric.replace("_", " ")], [run["metrics"][metric] for run in runs]
+        assert float(row[4]) == pytest.approx(np.sqrt(np.mean([one["mujoco"] ** 2 for one in found])), rel=1e-3), (
+            metric
+        )  # 4 digits
+        assert float(row[5]) == pytest.approx(found[0]["expected"], rel=1e-3), metric
+
+
+@pytest.mark.attack
+def test_a_norm_as_built(tmp_path, plain, capsys):
+    """The norm as built is what `synth` says, never below what no controller can beat, and how far it is from the ideal one."""
+    file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\ndelay = 1\n")
+    read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "I", step=COARSE)
+    row, said = (
+        read.row("norms", controller="I"),
+        printed(capsys, synth, "--vehicle", file, "--controller", "I")["controllers"][0],
+    )
+    assert row["norm, as built"] == row["reached by a road"] == f"{said['sampled_norm']:.7g}"
+    assert float(row["norm, as built"]) > float(read.row("designs", controller="I")["lower bound"])
+    assert row["that is"] == f"{100 * (said['sampled_norm'] / said['norm'] - 1):.2g} % above"
+    assert read.row("norms", controller="passive")["that is"] == "equal to"
+    assert "norms" not in plain.tables
+
+
+def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
+    """With --class or --road the first table, the metrics and the verdict are of that road, as `sim.drive` has them."""
+    options = (
+        *["--controller", "passive", "--controller", "I", "--class", "B", "--seed", "3", "--speed", "15", "--duration", "4"],
+        *STEP,
+    )
+    whole = printed(capsys, report, "--quick", "--out", str(tmp_path / "report.html"), *options)
+    found = printed(capsys, drive, "--no-logs", *options)
+    assert whole["compared"] == found["compared"]
+    rows = {(row["metric"], row["controller"]): row for row in whole["tables"]["road"]}
+    for run in found["runs"]:
+        for name, one in run["metrics"].items():
+            row = rows[name.replace("_", " "), run["controller"]["name"]]
+            assert (row["MuJoCo"], row["expected"]) == tuple(
+                "-" if value is None else f"{value:.4g}" for value in (one["mujoco"], one["expected"])
+            )
+    read = PageRead(tmp_path / "report.html")
+    assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} s on" in read.lead[-1]
+    assert not any("paper's bump" in said for said in (*read.lead, *read.answer))
+
+
+def test_a_report_without_a_road_has_no_speed(tmp_path):
+    """Speed, seed and duration of a road that is not given are refused, as are two roads, before the work."""
+    for options, words in (
+        (("--speed", "9"), "--speed is of a road, and none is given"),
+        (("--class", "B", "--road", "flat"), "not both"),
+    ):
+        with pytest.raises(InputError, match=words):
+            report(["--quick", "--out", str(tmp_path / "no.html"), *options])
+
+
+def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
+    """A run whose energy is not found again fails in the answer, and only there, although it agrees with the analysis."""
+    time = sample_times(paper, 0.5, 1e-3)
+    (run,) = run_controllers(paper, [designer.design("I")], Bump(), time)
+    scope = Scope(paper, designer, (designer.design("I"),), 1e-3, True, print)
+    assert worst(over_the_bump(scope, [run])) == "holds"
+    assert run.energy is not None
+    lost = dataclasses.replace(run, energy=dataclasses.replace(run.energy, residual=2e-3))
+    assert (run.passed, lost.passed, lost.agreement.agrees) == (True, False, True)
+    said = over_the_bump(scope, [lost])
+    assert worst(said) == "fails"
+    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for `I`: see the table of energy."
+    # What half the step leaves may allow more of a run than is usual: the table says how much of which.
+    kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
+    assert worst(over_the_bump(scope, [kept])) == "holds"
+    assert [row[-2:] for row in energy_table([run, kept], scope.where).rows] == [
+        (f"{one.residual:.1e}", f"{one.allowed:.1e}") for one in (run.energy, kept.energy) if one is not None
+    ]

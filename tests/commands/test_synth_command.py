@@ -1,0 +1,393 @@
+"""`python -m synth`: what it prints, saves and checks."""
+
+import dataclasses
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import synth.command.cross_check
+from models.common.errors import InputError
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from synth.__main__ import main
+from synth.command.cross_check import cross_check
+from synth.command.design_table import _limit
+from synth.command.table import _pole_lines, semi_active_lines
+from synth.lmi.full_order_bound import bound_beyond_control
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
+from tests.support.commands import attacks, prose, refused
+from tests.support.pages import hopper
+
+
+@pytest.mark.parametrize("options", [[], *attacks([["--controller", "I"], ["--controller", "state", "--refine"]])])
+def test_what_is_flat_is_the_gain_in_the_table(tmp_path, capsys, options):
+    """If the path ends at gains beyond any actuator, what is printed is of the designed gain, and has a width."""
+    car = str(hopper(tmp_path))
+    _, found = table(capsys, "--vehicle", car, *options)
+    shown = [row["gain"] for row in found["controllers"] if row["name"] == "state"]
+    ((*gains,),) = shown[0] if shown else Designer(read_vehicle(car)).design("state").gain.tolist()
+    moves = found["flat"]["gain_down_up"]
+    assert [move[0] for move in moves.values()] == gains  # with one force a state's largest gain is its gain
+    main(["--vehicle", car, *options, "-v"])
+    printed = re.findall(r"^  (\w+) +(\S+) +from (\S+) +to (\S+)$", capsys.readouterr().out, re.MULTILINE)
+    assert [name for name, *_ in printed] == list(moves)
+    for name, gain, low, high in printed:
+        assert "any" in (low, high) or float(low) < float(gain) < float(high), name
+
+
+def table(capsys, *arguments) -> tuple[int, dict]:
+    code = main([*arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_table(capsys):
+    """Every controller has a gain, a norm that both routes give, poles and a gap to what no controller can beat."""
+    code, found = table(capsys)
+    assert code == 0
+    rows = {row["name"]: row for row in found["controllers"]}
+    assert set(rows) == {"passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"}
+    assert rows["I"]["norm"] == pytest.approx(7.843188, abs=1e-6)  # given with 7 digits
+    assert rows["I"]["gap"] == pytest.approx(8.588e-4, abs=1e-6)  # 7.843188 / 7.836458 - 1
+    assert rows["state"]["gap"] == pytest.approx(0, abs=1e-9)  # the path's end
+    assert rows["passive"]["norm"] == pytest.approx(35.0720, abs=5e-4)
+    assert all(row["routes_gap"] < 1e-10 and row["failures"] == [] for row in rows.values())
+    assert found["invariant_limit"] == {"norm": pytest.approx(7.83645764, rel=1e-8), "frequency": pytest.approx(63.757, abs=1e-3)}
+    # Half a percent either way of the gain on the deflection, a fifth of that on the tyre's, for 1e-4 of gamma.
+    gain, down, up = found["flat"]["gain_down_up"]["tyre_deflection"]
+    assert gain == pytest.approx(2333.4, abs=0.1)
+    assert 0.1 * gain < down < 0.3 * gain
+    assert 0.1 * gain < up < 0.3 * gain
+
+
+def test_modes():
+    """A pair of poles has its natural frequency and damping ratio beside it: of s^2 + 2 s + 4 they are 2 rad/s and 1/2."""
+    poles = [complex(-1, 3**0.5), complex(-1, -(3**0.5)), complex(-2), complex(-30)]
+    assert _pole_lines(poles) == ["  poles -1 +- 1.732j  0.318 Hz, damping 0.5", "        -2  -30"]
+
+
+@pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])
+def test_other_vehicles(capsys, vehicle):
+    """Every controller of the other cars that ship is designed and certified, within 11 % of the best possible."""
+    code, found = table(capsys, "--vehicle", vehicle)
+    assert code == 0
+    gaps = {row["name"]: row["gap"] for row in found["controllers"]}
+    assert gaps["state"] == pytest.approx(0, abs=1e-8)
+    assert 0 < gaps["I"] < 0.11
+    assert 0 < gaps["II"] < 0.11
+
+
+def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
+    """For an integrator that z does not see, the limit at 0 rad/s is of forces that hold it; others could change all of z."""
+    one = np.ones((1, 1))
+    plant = GeneralizedPlant(A=0 * one, B=one, Bw=one, C=0 * one, D=2 * one, Dw=0 * one)  # z = 2 u, and x' = u + w
+    limit = bound_beyond_control(plant)
+    assert limit.gamma == pytest.approx(2, rel=1e-12)  # it is rounded down
+    assert limit.limit_at == 0.0
+    text = (
+        "limit: at 0 rad/s, where a mode does not decay by itself, no control force that holds it brings z's response to the road"
+    )
+    assert _limit(limit, plant) == f"{text} below 2"
+
+
+MERELY = ", the limit at that frequency: no control brings z below it, and without control z is {free:.7g} there"
+SAME = ", where no control changes z (invariant point)"
+
+
+@pytest.mark.parametrize(("more", "said"), [("", SAME), ("tyre_damping = 1000.0\n", MERELY)], ids=["paper", "damped tyre"])
+def test_an_invariant_point_is_one(more, said):
+    """Only if z without control is at the limit, to 0.1 %, it is said that no control changes z; of damped tyres it is not."""
+    text = read_vehicle("quarter_car").text.replace("[parameters]", f"[parameters]\n{more}", 1)
+    plant = Designer(parse_vehicle(text)).plant
+    bound = bound_beyond_control(plant)
+    assert bound.limit_at is not None
+    resolvent = np.linalg.inv(1j * bound.limit_at * np.eye(4) - plant.A)
+    of_w, of_u = plant.C @ resolvent @ plant.Bw + plant.Dw, plant.C @ resolvent @ plant.B + plant.D
+    across = float(np.linalg.norm(of_w - of_u @ np.linalg.pinv(of_u) @ of_w))
+    alone = float(np.linalg.norm(of_w))
+    assert bound.gamma == pytest.approx(across, rel=1e-9)  # rounding of the pseudo-inverse
+    assert _limit(bound, plant) == f"limit: {across:.7g} at {bound.limit_at:.5g} rad/s{said.format(free=alone)}"
+    assert (alone <= 1.001 * across) == (said == SAME)
+
+
+def test_the_case_is_said(capsys, tmp_path):
+    """If nothing but the force counts no force is best, and every designed controller's row says so."""
+    file = tmp_path / "car.toml"
+    head, _, tail = read_vehicle("quarter_car").text.partition("[performance]")
+    file.write_text(f"{head}[performance]\ncontrol_force = 1e-4\n[controllers.I]{tail.partition('[controllers.I]')[2]}")
+    code, found = table(capsys, "--vehicle", str(file), "--controller", "state", "--controller", "I")
+    assert code == 0
+    for row in found["controllers"]:
+        assert row["notes"] == ["without control w reaches z in no way; none is applied"]
+        assert row["norm"] == 0
+        assert not any(map(any, row["gain"]))
+
+
+def test_text_says_where_there_is_no_limit(capsys, tmp_path):
+    """For the deflection alone, one signal and one force, control can change all; it is said, and in JSON it is null."""
+    text = read_vehicle("quarter_car").text
+    weights = text.split("[performance]")[1].split("[")[0]
+    file = tmp_path / "car.toml"
+    file.write_text(text.replace(weights, "\nsuspension_deflection = 1.0\n\n"))
+    main(["--vehicle", str(file), "--controller", "passive", "-v"])
+    said = "limit: none; at every frequency control forces can change all of z's response to the road"
+    assert said in prose(capsys.readouterr().out)
+    _, found = table(capsys, "--vehicle", str(file), "--controller", "passive")
+    assert found["invariant_limit"] is None
+
+
+def test_laws_that_are_left_out_are_named():
+    """Laws without a linear claim stand in one line, by all their names; without any there is no line."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    (line,) = semi_active_lines(vehicle)
+    named = line.partition(": ")[2].partition(";")[0].split(", ")
+    assert [*vehicle.linear_names, *named] == sorted(vehicle.controller_names, key=lambda name: name in named)
+    assert len(named) >= 7
+    assert semi_active_lines(read_vehicle("quarter_car")) == []
+
+
+def test_remark_4(capsys):
+    """With L = 0 neither controller can be designed, and each says why."""
+    code, found = table(capsys, "--zero-l")
+    assert code == 1
+    assert [row["name"] for row in found["controllers"]] == ["I", "II"]
+    assert all("no solution with eta > 0 for L = 0" in row["reason"] for row in found["controllers"])
+
+
+def test_refine_is_bounded_and_says_what_it_traded(capsys):
+    """Refined, controller I comes within 1e-4 of the best any controller could do, and does not walk to [-72240, -82631]."""
+    code, found = table(capsys, "--controller", "I", "--refine")
+    assert code == 0
+    (row,) = found["controllers"]
+    assert row["gap"] < 1e-4
+    assert max(map(abs, row["gain"][0])) < 11000
+    assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
+
+
+@pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(("half_car", "full_car"))])
+def test_the_table_says_what_refine_would_gain(capsys, vehicle):
+    """The promise of the table is kept by the command that it names: each norm falls by at least as much; none for state."""
+    assert main(["--vehicle", vehicle, "-v"]) == 0
+    text = capsys.readouterr().out
+    promised = {name: float(share) for name, share in re.findall(r"(\w+) by ([\d.e+-]+) % or more", prose(text))}
+    code, before = table(capsys, "--vehicle", vehicle)
+    assert code == 0
+    for row in before["controllers"]:
+        share = row["refine_lowers_by_at_least"]
+        assert (share is not None) == (row["name"] in promised)
+        if share is not None:
+            assert 0.9 * share <= promised[row["name"]] / 100 <= share  # cut after two digits
+    assert set(promised) == {"I", "II"}
+    (command,) = re.findall(r"^  python -m synth ((?:.*\\\n)*.*)$", text, flags=re.MULTILINE)
+    code, after = table(capsys, *shlex.split(command.replace("\\\n", "")))  # as a shell joins lines
+    assert code == 0
+    norms = {row["name"]: row["norm"] for row in before["controllers"]}
+    for row in after["controllers"]:
+        assert row["norm"] <= norms[row["name"]] * (1 - promised[row["name"]] / 100)
+        assert row["refine_lowers_by_at_least"] is None
+
+
+def test_what_cannot_be_refined_fails_as_it_is(tmp_path, capsys):
+    """An unstable law that a file gives is not refined, and its claims fail with `--refine` as without."""
+    (tmp_path / "car.toml").write_text(
+        f'{read_vehicle("quarter_car").text}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
+    )
+    for options in ([], ["--refine"]):
+        assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "wild", *options]) == 1
+        assert "not every claim holds: wild FAILS" in prose(capsys.readouterr().out)
+
+
+def test_refine_belongs_to_the_designer(designer, capsys):
+    """`Designer.refine` is what the command prints: the gain, where it came from, what was traded."""
+    refined = designer.refine("II")
+    _, found = table(capsys, "--controller", "II", "--refine")
+    (row,) = found["controllers"]
+    assert row["gain"] == refined.controller.gain.tolist()
+    assert row["notes"] == [refined.traded]
+    assert refined.start is not None
+    assert refined.start.certificate.norm.value == pytest.approx(refined.refinement.before, rel=1e-9)  # where the search stops
+    assert refined.controller.certificate.norm.value == pytest.approx(refined.refinement.after, rel=1e-8)  # likewise
+    with pytest.raises(InputError, match="has no gain to refine"):
+        designer.refine("passive")
+
+
+def test_refine_from_nothing():
+    """If the two steps find no gain, as with L = 0, it starts from what stabilises the car, and says from where."""
+    refined = Designer(read_vehicle("quarter_car")).refine("II", zero_l=True)
+    assert refined.start is None
+    assert refined.traded.startswith(f"refined: from {refined.origin}; gamma ")
+    assert refined.controller.certificate.failures == ()
+
+
+@pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(["half_car", "full_car"])])
+def test_cross_check(capsys, vehicle):
+    """Clarabel's optimum of every LMI problem is ours, and with our gain fixed it reaches the same: to its tolerance."""
+    code, found = table(capsys, "--vehicle", vehicle, "--cross-check")
+    assert code == 0
+    witnesses = {row["name"]: row["cross_check"] for row in found["controllers"] if row["cross_check"] is not None}
+    assert {name: each["problem"] for name, each in witnesses.items()} == {"state": "(22)", "I": "(25)", "II": "(25)"}
+    for name, each in witnesses.items():
+        bound = next(row["bound"] for row in found["controllers"] if row["name"] == name)
+        assert each["ours"] == pytest.approx(bound, rel=1e-12)  # the path's end
+        assert each["said"] == ""
+        assert abs(each["apart"]) < 2e-6  # measured 7e-7 for I of the quarter-car, 3e-8 for the rest
+        assert abs(each["above"]) < 2e-6
+        assert each["theirs"] == pytest.approx(each["ours"] * (1 + each["apart"]), rel=1e-12)
+    main(["--vehicle", vehicle, "--cross-check", "--controller", "I"])
+    said = re.search(
+        r"optimum of \(25\) is (.*), ours (.*), .* apart; our gain attains (\S*) there,", prose(capsys.readouterr().out)
+    )
+    assert said is not None
+    assert [float(number) for number in said.groups()] == pytest.approx(
+        [witnesses["I"][key] for key in ("theirs", "ours", "attained")], rel=1e-8
+    )  # printed with nine digits
+
+
+def test_a_witness_against_is_a_failure(designer, monkeypatch):
+    """A gain that is off the face, an optimum that is another, a missing answer: each is said."""
+    state = designer.design("state")
+    assert state.certificate.proof is not None
+    seven = dataclasses.replace(state.certificate.proof, eta=1 / 49)
+    moved = dataclasses.replace(state, certificate=dataclasses.replace(state.certificate, proof=seven))
+    for wrong, said in ((dataclasses.replace(state, law=state.law.scaled(0.9)), "our gain attains"), (moved, "ours is 7")):
+        witness = cross_check(designer, wrong)
+        assert witness is not None
+        assert said in witness.failures[0]
+
+    def gives_up(*given):
+        raise DesignError("Clarabel gave up")
+
+    monkeypatch.setattr(synth.command.cross_check, "solve_lmi", gives_up)
+    witness = cross_check(designer, state)
+    assert witness is not None
+    assert witness.text == "no second witness: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"
+
+
+@pytest.mark.parametrize("section", ["", "[limits]\nactuator_bandwidth = 60.0\n", "[implementation]\ndelay = 3\n"])
+def test_which_loop_is_said(capsys, tmp_path, section):
+    """The output says that bound, norm and poles are of the ideal loop when, and only when, there is another."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + "\n" + section)
+    main(["--vehicle", str(file), "--controller", "passive", "-v"])
+    said = "bound, norm and poles are of the ideal loop, continuous and without [limits] and [implementation]"
+    assert (said in prose(capsys.readouterr().out)) == bool(section)
+
+
+def test_save_and_check(capsys, tmp_path):
+    """A saved design reads back with a certificate that holds, and every other command drives it."""
+    file = tmp_path / "car.toml"
+    code, saved = table(capsys, "--save", str(file))
+    assert code == 0
+    code, checked = table(capsys, "--check", str(file), "--controller", "I_designed")
+    assert code == 0
+    before = next(row for row in saved["controllers"] if row["name"] == "I")
+    (after,) = checked["controllers"]
+    for claim in ("norm", "bound", "lower_bound"):
+        assert after[claim] == pytest.approx(before[claim], rel=1e-12)
+    assert bump(["--vehicle", str(file), "--controller", "II_designed", "--no-logs", "--duration", "0.5"]) == 0
+
+
+def test_check_sees_what_is_not_true(capsys, tmp_path):
+    """A number of a saved certificate that was changed is found, and the exit code is 1."""
+    file = tmp_path / "car.toml"
+    table(capsys, "--controller", "I", "--save", str(file))
+    head, tail = file.read_text().split("[controllers.I_designed]")
+    for old, new, message in (
+        ("norm = 7.84", "norm = 7.83", "the norm is claimed to be 7.83"),
+        ("lower_bound = 7.836", "lower_bound = 7.837", "the lower bound is claimed to be 7.837"),
+        ("bound = 7.87", "bound = 7.81", "exceeds the bound"),
+        ("gain = [[10825", "gain = [[20825", "LMI"),
+        ("X = [[0.", "X = [[9.", "LMI"),
+    ):
+        assert old in tail
+        file.write_text(head + "[controllers.I_designed]" + tail.replace(old, new, 1))
+        code, found = table(capsys, "--check", str(file), "--controller", "I_designed")
+        assert code == 1
+        assert any(message in failure for failure in found["controllers"][0]["failures"]), old
+
+
+def test_check_needs_no_solver(capsys, tmp_path):
+    """`--check` imports neither cvxpy nor a solver."""
+    table(capsys, "--controller", "I", "--save", str(tmp_path / "car.toml"))
+    code = (
+        "import sys; sys.modules['cvxpy'] = sys.modules['clarabel'] = sys.modules['control'] = None; "
+        "from synth.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--check", str(tmp_path / "car.toml")], capture_output=True, text=True, check=True
+    )
+    assert "checked: every claim of its certificate holds" in done.stdout
+    assert "came without a certificate" in done.stdout
+
+
+def test_no_file_of_the_users_own_is_replaced(capsys, tmp_path):
+    """`--save` replaces its own file, and an empty one, and refuses any other: here the one that --vehicle was to name."""
+    own, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    own.write_text(read_vehicle("quarter_car").text)
+    saved.touch()
+    for _ in range(2):
+        table(capsys, "--controller", "I", "--save", str(saved))
+    with refused(f"--save {own} exists and was not written by --save; give another name or remove it"):
+        main(["--controller", "I", "--save", str(own)])
+    assert own.read_text() == read_vehicle("quarter_car").text
+
+
+def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
+    """A file that is saved above names laws in Python from there; where it could not name them it is refused, before the work."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("cars", "cars/laws", "other"):
+        Path(folder).mkdir()
+    Path("cars/laws/sky.py").write_text("def step(y, t, h):\n    return [0.0]\n")
+    law = '[controllers.sky]\nmeasured = ["sprung_velocity"]\nlaw = "laws/sky.py:step"  # mine\n'
+    Path("cars/car.toml").write_text(f"{read_vehicle('quarter_car').text}\n{law}")
+    for place, named in (("saved.toml", "cars/laws/sky.py"), ("cars/saved.toml", "laws/sky.py"), ("cars/laws/a.toml", "sky.py")):
+        table(capsys, "--vehicle", "cars/car.toml", "--controller", "I", "--save", place)
+        python = read_vehicle(place).controllers["sky"].python
+        assert python is not None
+        assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
+    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of other); name a file beside it"):
+        main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
+
+
+def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
+    """Nothing is left beside it, and a name that is taken is refused before anything is written."""
+    file = tmp_path / "car.toml"
+    main(["--controller", "I", "--save", str(file)])
+    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+    assert "I_designed" in read_vehicle(file).controllers
+    with pytest.raises(InputError, match="has a controller 'I_designed' already"):
+        main(["--vehicle", str(file), "--controller", "I", "--save", str(tmp_path / "more.toml")])
+    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+
+
+@pytest.mark.parametrize("option", [["--save", "saved.toml"], ["--export", "out"]])
+def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
+    """A file that gives its controllers as one inline table is no TOML with a section more; one line asks for sections."""
+    monkeypatch.chdir(tmp_path)
+    rest = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    Path("car.toml").write_text('controllers = { mine = { measured = ["sprung_velocity"] } }\n' + rest)
+    with refused("the vehicle file has controllers = { ... }", "write each as [controllers.NAME]"):
+        main(["--vehicle", "car.toml", "--controller", "mine", *option])
+
+
+@pytest.mark.parametrize(
+    ("certificate", "message"),
+    [
+        ("norms = 1.0", "unknown key 'norms' in a certificate"),
+        ("X = [[1.0, 2.0]]", "is not a matrix of finite numbers of shape"),
+        ("state = { X = [[1.0]], eta = 1.0 }", "a certificate does not fit the vehicle"),
+    ],
+)
+def test_malformed_certificate(tmp_path, certificate, message):
+    """So is a certificate that is none."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + f"\n[controllers.I_printed.certificate]\n{certificate}\n")
+    with pytest.raises(InputError, match=message):
+        main(["--check", str(file), "--controller", "I_printed"])

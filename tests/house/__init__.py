@@ -1,0 +1,1 @@
+"""The repository itself: rooms, ceilings, pages, public names, sentences."""

@@ -1,0 +1,274 @@
+"""The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
+
+import graphlib
+import re
+from pathlib import Path
+
+import pytest
+
+import models
+import sim
+import synth
+from tests.house import ceilings
+from tests.support.commands import ROOT
+from tests.support.sources import sources
+
+FILES = sorted(
+    path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py") if "gallery" not in path.parts[:-2]
+)
+NAMES = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES}
+MODULES = {name: path for path, name in NAMES.items()}
+
+# A room is a folder or a file right below its package, whose own `__init__` and `__main__` are its doors and no rooms. A row
+# names every other room that its room imports, all of them in rows above its own, so that there can be no circle.
+ROOMS = {
+    # models: what a vehicle is
+    "models.common": "",
+    "models": "",
+    "models.figures": "",
+    "models.laws": "",
+    "models.kinds": "models.laws",
+    "models.suspension": "models.laws",
+    "models.full_car": "models.kinds",
+    "models.half_car": "models.kinds",
+    "models.quarter_car": "models.kinds",
+    "models.vehicle": "models.figures models.kinds models.laws models.suspension",
+    "models.roads": "models.kinds models.vehicle",
+    # synth: what a controller is; of vehicles it knows nothing below `controller`
+    "synth": "",
+    "synth.plant": "models.laws",
+    "synth.analysis": "models.figures synth.plant",
+    "synth.controller": "models models.kinds models.laws models.suspension models.vehicle synth.analysis synth.plant",
+    "synth.lmi": "synth.analysis synth.plant",
+    "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
+    "synth.vehicle": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "synth.design synth.lmi synth.plant",
+    "synth.command": "models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
+    "synth.plant synth.vehicle",
+    "synth.__main__": "models.laws models.vehicle synth.command",
+    # sim: what a run is
+    "sim": "",
+    "sim.response": "models.kinds models.suspension models.vehicle",
+    "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
+    "synth.controller synth.plant sim.response",
+    "sim.physics": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller sim.response",
+    "sim.runs": "models models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "synth.controller synth.vehicle sim.linear sim.physics sim.response",
+    "sim.recording": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "sim.linear sim.physics sim.response sim.runs",
+    "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
+    "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
+    "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
+    "sim.response sim.runs sim.studies",
+    "sim.bump": "sim.command",
+    "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
+    "sim.studies",
+    "sim.drive": "sim.command",
+    "sim.envelope": "models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
+    "sim.runs sim.studies",
+    "sim.gallery": "sim.studies",
+    "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+    "sim.margins": "models.figures models.suspension models.vehicle synth.controller synth.vehicle sim.command "
+    "sim.linear sim.runs sim.studies",
+    "sim.new": "",
+    "sim.report": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
+    "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
+    "sim.studies",
+    "sim.sweep": "models.figures models.vehicle synth.controller synth.vehicle sim.command sim.linear sim.runs sim.studies",
+    "sim.__main__": "",
+}
+OF_ALL = "models.common"
+# Ceilings of each package: its folders, on how many floors these stand, each on those below, and the arrows from one to another.
+# A command or a kind of vehicle that is one file is no folder, and adds to none of them.
+MOST_ROOMS = {"models": 7, "synth": 7, "sim": 10}
+MOST_FLOORS = {"models": 5, "synth": 6, "sim": 6}
+MOST_ARROWS = {"models": 14, "synth": 19, "sim": 36}
+MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
+
+# What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
+REACHES = {
+    "synth.analysis": "models.common models.figures synth.plant",
+    "synth.controller": "models.common models.figures models.kinds models.laws models.suspension models.vehicle "
+    "synth.analysis synth.plant",
+    "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+}
+
+# Who may import what is heavy, or replaceable.
+OWNERS = {
+    "cvxpy": {"synth/lmi/sdp.py", "synth/design/uncertainty/parameter_dependent_kyp.py"},
+    "tomllib": {"models/common/files.py"},
+    "tomlkit": {"models/common/toml_edit.py"},
+    "mujoco": {
+        "models/vehicle/mjcf.py",
+        "models/suspension/curve_actuators.py",
+        "sim/physics/sensor_readout.py",
+        "sim/physics/run_blocks.py",
+        "sim/physics/stepping.py",
+        "sim/physics/energy.py",
+        "sim/recording/run_records.py",
+    },
+    "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/log.py"},
+    "mcap_protobuf": {"sim/recording/mcap_writer.py"},
+    "google": {"sim/recording/mcap_writer.py", "sim/inspect/log.py", "sim/recording/foxglove_scene.py"},
+    "foxglove_schemas_protobuf": {"sim/recording/foxglove_scene.py"},
+    "rerun": {"sim/recording/rerun_writer.py", "sim/recording/rerun_contents.py"},
+    "control": {"sim/response/response.py", "synth/vehicle/state_space.py"},
+    "pandas": {"sim/response/response.py"},
+    "matplotlib": {"models/figures/picture.py"},
+    "contourpy": {"models/figures/figure.py", "models/figures/page.py"},
+    "jinja2": {"models/figures/page.py"},
+    "pyopencrg": {"models/roads/opencrg.py"},
+    "cloudpickle": {"models/kinds/kind.py"},
+    "filelock": {"sim/campaign/manifest.py"},
+    "pyarrow": {
+        "sim/campaign/store.py",
+        "sim/campaign/verify.py",
+        "sim/recording/rerun_contents.py",
+    },
+    "ray": {"sim/campaign/workers.py"},
+}
+
+
+def imported(path: Path) -> tuple[str, ...]:
+    """Every module that a file imports, see `tests.support.sources.Source`."""
+    return sources()[path.relative_to(ROOT).as_posix()].imported
+
+
+def module_of(name: str) -> str | None:
+    """The module of ours that a name is, or lies in."""
+    while name and name not in MODULES:
+        name = name.rpartition(".")[0]
+    return name or None
+
+
+def room_of(module: str) -> str:
+    """The room of a module: what it is, or lies in, right below its package; of a door the door itself."""
+    return ".".join(module.split(".")[:2])
+
+
+def is_door(room: str) -> bool:
+    """Returns True if a room is none, but the `__init__` or `__main__` of a package."""
+    return "." not in room or room.endswith(".__main__")
+
+
+def arrows() -> dict[str, set[str]]:
+    """The rooms that each room imports."""
+    found: dict[str, set[str]] = {room_of(module): set() for module in MODULES}
+    for module, path in MODULES.items():
+        for name in imported(path):
+            other = module_of(name)
+            if other and room_of(other) != room_of(module):
+                found[room_of(module)].add(room_of(other))
+    return found
+
+
+def allowed(room: str) -> set[str]:
+    """Returns what a room may import."""
+    return {OF_ALL} - {room} | set(ROOMS[room].split())
+
+
+def test_imports():
+    """A file imports no room that its row does not name, and no package that belongs to another file."""
+    wrong = []
+    for path in FILES:
+        own, room = path.relative_to(ROOT).as_posix(), room_of(NAMES[path])
+        for name in imported(path):
+            other = module_of(name)
+            if other is not None and room_of(other) != room and room_of(other) not in allowed(room):
+                wrong.append(f"{own} imports {name}")
+            if own not in OWNERS.get(name.split(".")[0], {own}):
+                wrong.append(f"{name} is not for {own}")
+    assert not wrong
+
+
+def test_no_hidden_arrow():
+    """No file imports by a name that it makes up as it runs, but the doors to kinds, public names and commands of our own."""
+    by_name = {"import_module", "__import__", "spec_from_file_location", "run_module", "run_path"}
+    hidden = {NAMES[path] for path in FILES if by_name & sources()[path.relative_to(ROOT).as_posix()].names}
+    assert hidden == {"models.vehicle.vehicle", "models.common.lazy", "models.common.cli"}
+
+
+def test_public_names_are_for_others():
+    """Inside nobody imports what a package has for those outside, but from where it lies: else circles hide."""
+    public = {f"{package.__name__}.{name}" for package in (models, synth, sim) for name in package.__all__} - set(MODULES)
+    assert not {f"{NAMES[path]} imports {name}" for path in FILES for name in imported(path) if name in public}
+
+
+def test_doors_for_code():
+    """Text becomes code only of kinds of vehicle and laws of the user's own."""
+    doors = {NAMES[path] for path in FILES if sources()[path.relative_to(ROOT).as_posix()].runs_text}
+    assert doors == {"models.laws.user_code", "models.kinds.user_kind", "models.laws.python_runtime"}
+
+
+def test_the_table_is_the_house():
+    """The table names the rooms that there are, each with what it imports and nothing in vain, and only rooms above its row."""
+    found = arrows()
+    assert set(found) == set(ROOMS)
+    rows = list(ROOMS)
+    for room, names in ROOMS.items():
+        assert all(rows.index(name) < rows.index(room) for name in allowed(room)), room
+        assert set(names.split()) <= found[room], f"{room} has in its row what it does not import"
+
+
+def test_no_circle():
+    """No file imports itself by way of others, not even where it is used."""
+    graph = {module: {module_of(name) for name in imported(path)} - {None, module} for module, path in MODULES.items()}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError
+
+
+@pytest.mark.parametrize("package", MOST_ROOMS)
+def test_few_rooms(package):
+    """A package has few rooms, on few floors, with few arrows between them."""
+    inner = {
+        room: {other for other in others if other.startswith(f"{package}.")}
+        for room, others in arrows().items()
+        if room.startswith(f"{package}.") and (ROOT / room.replace(".", "/")).is_dir()
+    }
+    inner = {room: others & set(inner) for room, others in inner.items()}
+    floors: dict[str, int] = {}
+    for room in graphlib.TopologicalSorter(inner).static_order():
+        floors[room] = 1 + max((floors[other] for other in inner[room]), default=0)
+    assert len(inner) <= MOST_ROOMS[package]
+    assert max(floors.values()) <= MOST_FLOORS[package]
+    assert sum(map(len, inner.values())) <= MOST_ARROWS[package]
+
+
+def test_few_files():
+    """No folder holds more files than one overlooks."""
+    for folder in {path.parent for path in FILES}:
+        assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_FILES
+
+
+def test_every_file_is_of_one_capability():
+    """Each file of code or text is in one row of the table of ceilings, and each glob of the table finds a file."""
+    files, rows = ceilings.counted(), ceilings.rows()
+    places = {name: [row.capability for row in rows if row.has(name)] for name in files}
+    assert not [name for name, found in places.items() if not found], "add these to a row of tests/house/ceilings.py"
+    assert not {name: found for name, found in places.items() if len(found) > 1}, "leave these in one row of ceilings.py"
+    globs = {glob: re.compile(ceilings.expression(glob)) for row in rows for glob in row.globs}
+    idle = [glob for glob, expression in globs.items() if not any(map(expression.fullmatch, files))]
+    assert not idle, "these match no file; take them out of tests/house/ceilings.py"
+
+
+def test_ceilings():
+    """No capability has more lines than its row allows."""
+    files = ceilings.counted()
+    above = {row.capability: found for row in ceilings.rows() if (found := row.too_many(files))}
+    assert not above, "new work fits into its capability's lines, or takes something away there; see tests/house/ceilings.py"
+
+
+@pytest.mark.parametrize("start", REACHES)
+def test_checked_without_the_solver(start):
+    """Certifying, checking and inspecting reach only what its row allows, and no file that could call a solver."""
+    ways, seen = [module for module in MODULES if f"{module}.".startswith(f"{start}.")], set()
+    while ways:
+        module = ways.pop()
+        if module not in seen:
+            seen.add(module)
+            ways += [other for name in imported(MODULES[module]) if (other := module_of(name))]
+    rooms = {start, *REACHES[start].split()}
+    assert not {module for module in seen if not ({module, room_of(module)} & rooms or is_door(room_of(module)))}
+    assert not {module for module in seen if MODULES[module].relative_to(ROOT).as_posix() in OWNERS["cvxpy"]}

@@ -1,0 +1,89 @@
+"""Every command of the pages runs as it stands there, prints what stands beside it, and draws the picture above it."""
+
+import re
+
+import pytest
+
+from tests.support.pages import (
+    GENERATED,
+    LIGHTER,
+    PAGES,
+    PICTURES,
+    ROOT,
+    THINNER,
+    Section,
+    missing,
+    page,
+    run,
+    same_picture,
+    sections,
+)
+
+SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
+# Each some seconds or more: in test_slow_pages.py, after the suite.
+SLOW = (
+    *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
+    *("synth --vehicle quarter_car_goals", "synth --front"),
+    *("synth --vehicle models/gallery/mathworks/robust.toml", "sim.campaign campaign.toml", "sim.campaign --verify"),
+    *("sim.drive --controller I --class C", "sim.bump --controller all --serve", "synth --part loop"),
+)
+
+
+def slow(one: Section) -> bool:
+    """Returns True if a section is for test_slow_pages.py."""
+    return any(f"-m {command} " in f"{line} " for command in SLOW for line in one.commands)
+
+
+def check(one: Section, folder, monkeypatch, capsys) -> None:
+    """Runs a section; holds what it prints and draws against the page."""
+    if any("--picture" in line or "sim.report" in line for line in one.commands):
+        pytest.importorskip("matplotlib", reason="needs the extra [report]")
+        pytest.importorskip("jinja2", reason="needs the extra [report]")
+    monkeypatch.chdir(folder)
+    run(one, folder)
+    printed = capsys.readouterr().out
+    for text in one.blocks("text"):
+        assert missing(text, printed) is None
+    lines = "\n".join(one.commands)
+    for name in re.findall(r"--picture (\S+)", lines):
+        assert same_picture(folder / name, PICTURES / name)
+    for figures in re.findall(r"--figures (\S+)", lines):
+        for name in re.findall(r"!\[.*/pictures/(\S+)\)", one.text):
+            assert same_picture(folder / figures / name, PICTURES / name)
+
+
+@pytest.mark.parametrize("one", [each for each in SECTIONS if not slow(each)], ids=str)
+def test_commands(one, tmp_path, monkeypatch, capsys):
+    """Every command exits with 0, and prints the lines that stand beside it."""
+    check(one, tmp_path, monkeypatch, capsys)
+
+
+def test_what_is_made_lighter_is_there():
+    """Every line and every setting that is given less to do stands on a page."""
+    lines = [line for one in SECTIONS for line in one.commands]
+    assert all(any(line.startswith(f"python -m {start}") for line in lines) for start in LIGHTER)
+    assert all(much in page("docs/how-to/campaign.md") for much in THINNER)
+
+
+def test_a_stale_line_is_found():
+    """A line that is not printed, or not in its place, is named; dots stand for anything in between."""
+    printed = "first\nthe norm is 7.84, at 63\nlast\n"
+    assert missing("first\n...\nlast\n", printed) is None
+    assert missing("the norm ... at 63\n", printed) is None
+    assert missing("the norm is 7.84, ...\n", printed) is None
+    assert missing("the norm is 7.84\n", printed) == "the norm is 7.84"
+    assert missing("last\nfirst\n", printed) == "first"
+
+
+@pytest.mark.parametrize("name", [*PAGES, ".github/CONTRIBUTING.md"])
+def test_links_and_tables(name):
+    """The targets of a page's links are there, headings included, and its tables are at most 100 columns wide."""
+    text, folder = page(name), (PICTURES.parent.parent / name).parent
+    for path, _, heading in (link.partition("#") for link in re.findall(r"\]\((?!https?:)([^)]+)\)", text)):
+        there = folder / path if path else PICTURES.parent.parent / name  # a link within the page names its heading alone
+        if there.resolve().relative_to(ROOT.resolve()).as_posix().startswith(GENERATED):
+            continue  # Sphinx says whether it is there, and test_site.py what there is
+        assert there.exists(), path
+        headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.M) if heading else []
+        assert not heading or heading in [re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in headings]
+    assert all(len(line) <= 100 for line in text.splitlines() if line.startswith("|"))

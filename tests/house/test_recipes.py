@@ -1,0 +1,93 @@
+"""The recipes of .github/CONTRIBUTING.md, done in a copy of it."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.pages import ROOT, page, sections
+
+MARK = "\n\n# By their names on a command line"
+
+
+@pytest.mark.attack  # six processes in a copy that has to be compiled
+def test_add_a_road_and_a_command(tmp_path):
+    """The recipe's road is driven, logged and inspected, the recipe's command runs, and both hold in every test of their kind."""
+    road, command = (
+        block
+        for heading in ("Add a road", "Add a command")
+        for recipe in sections(".github/CONTRIBUTING.md")
+        if recipe.heading == heading
+        for block in recipe.blocks("python")
+    )
+    for folder in ("models", "synth", "sim", "tests", "docs", "logs", ".github"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    for file in ("README.md", "pyproject.toml"):
+        shutil.copy(ROOT / file, tmp_path)
+    path = tmp_path / "models" / "roads" / "obstacles.py"
+    source = path.read_text(encoding="utf-8")
+    assert source.count(MARK) == 1
+    changed = source.replace(MARK, f"\n\n{road}\n{MARK}").replace('"step": Step,', '"step": Step, "ramp": Ramp,')
+    path.write_text(changed, encoding="utf-8", newline="\n")
+    names = tmp_path / "models" / "vehicle" / "names.py"
+    named = names.read_text(encoding="utf-8").replace('"step", ', '"step", "ramp", ')
+    names.write_text(named, encoding="utf-8", newline="\n")
+
+    (tmp_path / "sim" / "modes.py").write_text(command, encoding="utf-8", newline="\n")
+    row = '    "sim.modes": "models.vehicle synth.vehicle",\n'
+    assert row.strip() in page(".github/CONTRIBUTING.md")
+    budget = "poles of a loop  50  0  5\n    sim/modes.py docs/how-to/modes.md\n"
+    assert all(line in page(".github/CONTRIBUTING.md") for line in budget.splitlines())
+    purpose, margins = "list the natural frequencies and damping ratios", '    ("sim.margins", "find'
+    for file, before, added in (
+        ("tests/house/test_architecture.py", '    "sim.margins": ', row),
+        ("sim/__main__.py", margins, f'    ("sim.modes", "{purpose}", "--json"),\n'),
+        ("tests/house/ceilings.py", "margins in physics  ", budget),
+        ("README.md", "| `roadproof margins`", f"| `roadproof modes` | {purpose} | - |\n"),
+        ("docs/how-to/index.md", "margins\n", "modes\n"),
+        ("tests/claims/test_any_controller.py", '"sim.bump": [*SHORT', '"sim.modes": [], '),
+        ("tests/claims/test_any_controller.py", '"sim.envelope", "sim.margins"}', '"sim.modes", '),
+    ):
+        text = (tmp_path / file).read_text(encoding="utf-8")
+        assert text.count(before) == 1
+        (tmp_path / file).write_text(text.replace(before, added + before), encoding="utf-8", newline="\n")
+    made = f"# {purpose.capitalize()} `sim.modes`\n\n```sh\npython -m sim.modes --controller I --json\n```\n"
+    (tmp_path / "docs" / "how-to" / "modes.md").write_text(made, encoding="utf-8", newline="\n")
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    driven = run("sim.drive", "--road", "ramp:height=0.05", "--duration", "2", "--controller", "I", "--logs", "logs")
+    assert "ramp, height 0.05 m" in driven
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    assert "the log still proves what it claims" in run("sim.inspect", str(log))
+    assert "Hz   damping" in run("sim.modes", "--controller", "I")
+    names = "ramp or sizes or imports or house or capability"
+    tested = run("pytest", "-k", names, "tests/models/test_roads.py", "tests/house/test_architecture.py")
+    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 6  # its derivative, its description; sizes, imports, rooms, files
+    held = ("test_any_controller", "test_readme", "test_printed", "test_pages", "test_site", "test_loaded", "test_roadproof")
+    names = "modes or forgotten or table_of_commands or contents or help_pages"
+    tested = run("pytest", "-m", "not attack", "-k", names, *(f"tests/{name}.py" for name in held))
+    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 15  # a dozen controllers; tables, contents, page, help
+
+
+def test_recipes_name_what_there_is():
+    """Every file that a recipe names is there, and every name of code stands in the code."""
+    named = set(re.findall(r"`([\w./]+)`", page(".github/CONTRIBUTING.md")))
+    files = {name for name in named if "/" in name}
+    assert {name for name in files if "NAME" not in name and not (ROOT / name).exists()} == set()
+    ours = [path for folder in ("models", "synth", "sim", "tests", "docs") for path in (ROOT / folder).rglob("*.py")]
+    code = " ".join(path.read_text(encoding="utf-8") for path in ours)
+    words = set(re.findall(r"\w+", code)) | {"pyright", ".ci/run"}
+    assert {part for name in named - files for part in re.findall(r"\w+", name)} - words == set()

@@ -1,0 +1,137 @@
+"""The site: its pages are found, its reference has every command and every key, and its notebook runs; Sphinx is not needed."""
+
+import contextlib
+import io
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from docs import generate
+from models.common.errors import InputError
+from models.vehicle.controllers import CONTROLLER_KEYS
+from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS
+from models.vehicle.vehicle import SECTIONS
+from sim.__main__ import COMMANDS
+from tests.support.commands import main_of
+from tests.support.pages import GENERATED, PAGES, PICTURES, ROOT, SITE, page
+
+DOCS = ROOT / "docs"
+NOTEBOOK = DOCS / "tutorials" / "notebook.ipynb"
+
+
+@pytest.fixture(scope="module")
+def made():
+    """The generated pages, by path below `docs/`."""
+    return generate.pages()
+
+
+def test_every_page_is_in_a_table_of_contents(made):
+    """No page is lost: each is an entry of one table of contents, and each entry is a page."""
+    entries = []
+    for name in SITE:
+        for block in re.findall(r"^```\{toctree\}\n(.*?)^```", page(name), re.M | re.S):
+            folder = (ROOT / name).parent
+            entries += [(folder / line).relative_to(DOCS).as_posix() for line in block.splitlines() if re.match(r"\w", line)]
+    there = {Path(name).relative_to("docs").with_suffix("").as_posix() for name in SITE}
+    assert sorted(entries) == sorted((there | {*made, "reference/logs"}) - {"index"})
+    assert all(f"docs/{name}.md".startswith(GENERATED) for name in (*made, "reference/logs"))
+
+
+def test_every_command_and_option_has_an_entry(made):
+    """The page of commands has each command's every option, as its parser knows them."""
+    text = made["reference/commands"]
+    for name, purpose, _ in COMMANDS:
+        part = text.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+        assert purpose in part
+        options = [each for action in generate.parser_of(name)._actions for each in action.option_strings]
+        assert {"--help", "--json"} <= {*options}
+        assert all(re.search(rf"`{option}[ `]", part) for option in options)
+
+
+def test_every_key_has_an_entry_and_a_page(made):
+    """The page of keys has every section and every key, with a page that uses the key or a sentence on it."""
+    text = made["reference/vehicle-file"]
+    sections = generate.key_sections()
+    assert all(any(name in heading for heading in sections) for name in SECTIONS[1:])
+    assert {*CONTROLLER_KEYS} == {key for key, *_ in sections["[controllers.NAME]"]}
+    assert {*IMPLEMENTATION_KEYS} == {key for key, *_ in sections["[implementation]"]}
+    bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]
+    assert bare == []
+    assert all(f"| `{key}` |" in text for keys in sections.values() for key, *_ in keys)
+
+
+def test_every_message_has_an_entry(made):
+    """The page of messages has what a command says of wrong input, with what to do: four are provoked, one of each package and
+    one of many rooms, and found there word by word."""
+    text = made["reference/messages"]
+    rows = [re.split(r"(?<!\\) \| ", line.strip("| ")) for line in text.splitlines() if line.startswith("| ")]
+    shown = ["; ".join(filter(None, row[:2])).replace("\\", "") for row in rows]
+    for command, arguments in (
+        ("synth", ["--rates", "5", "5"]),
+        ("sim.margins", ["--controller", "passive"]),
+        ("sim.bump", ["--controller", "I", "--duration", "1e9"]),
+        ("sim.drive", ["--controller", "I", "--road", "pothole:depth=0.1:depth=0.2"]),
+    ):
+        with pytest.raises(InputError) as error:
+            main_of(command)([*arguments, "--no-logs"] if command in ("sim.bump", "sim.drive") else arguments)
+        patterns = (".*".join(map(re.escape, re.split(r"<\w+>|\.\.\.", one))) for one in shown)
+        assert any(len(one) > 12 and re.fullmatch(one, str(error.value)) for one in patterns), str(error.value)
+    assert len(rows) > 500
+
+
+def test_tables_have_whole_rows(made):
+    """Every row of a generated table has as many cells as its heading."""
+    for name, text in made.items():
+        for block in re.findall(r"(?:^\|.*\n)+", text, re.M):
+            widths = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
+            assert len(widths) == 1, name
+
+
+def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
+    """Each picture that a command on a page draws stands in the gallery, above that command, and pages show no other.
+
+    `test_pages.py` and `test_slow_pages.py` run the command, and hold what it draws against the picture.
+    """
+    drawn = generate.drawn()
+    assert {*(name for name, *_ in drawn), "car.svg"} == {path.name for path in PICTURES.iterdir()}
+    shown = {name for each in PAGES for name in re.findall(r"!\[[^\]]*\]\([^)]*/([^/)]+)\)", page(each))}
+    assert shown == {*(name for name, *_ in drawn), "car.svg"}
+    for name, alt, line, _ in drawn:
+        assert (PICTURES / name).exists()
+        assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
+
+
+def test_the_home_page_begins_with_a_car_over_a_bump():
+    """The picture at the top of the home page is what `docs.generate.car` draws."""
+    first = re.findall(r"!\[.*/([^/)]+)\)", page("docs/index.md"))[0]
+    assert first == "car.svg"
+    assert (PICTURES / first).read_text(encoding="utf-8") == generate.car()
+
+
+def test_every_command_of_the_questions_is_one():
+    """Each command within the sentences of the questions is taken by its parser."""
+    commands = re.findall(r"`python -m ([^`]+)`", page("docs/questions.md").replace("\n", " "))
+    assert len(commands) > 12
+    for name, *arguments in map(shlex.split, commands):
+        generate.parser_of(name).parse_args(arguments)
+
+
+def test_the_notebook_runs(tmp_path, monkeypatch, made):
+    """Its cells run one after the other, print what is stored below each, and stand on the page."""
+    pytest.importorskip("pandas", reason="needs the extra [report]")
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, object] = {}
+    for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        assert source in made["tutorials/notebook"]
+        if cell["cell_type"] == "code":
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                exec(compile(source, "notebook", "exec"), names)
+            assert printed.getvalue() == "".join("".join(output["text"]) for output in cell["outputs"])
+    assert (tmp_path / "bump.png").stat().st_size > 10_000

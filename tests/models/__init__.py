@@ -1,0 +1,1 @@
+"""Vehicles, roads, laws and the files that describe them."""

@@ -1,0 +1,320 @@
+"""Half-car and full car: their equations are their physics to first order, and their limits are the smaller vehicles."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.kinds.kind import GRAVITY
+from models.roads.road import Bump
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.physics import sensor_readout as readout
+from sim.runs.run import run_controllers, sample_times
+from synth.vehicle.designer import Designer
+from tests.conftest import random_vehicles
+from tests.support.analysed import continuous_response, sampled_response, simulate
+from tests.support.commands import in_the_suite, refused
+from tests.support.shared import designed
+
+CARS = ["half_car", "full_car"]
+
+
+@pytest.fixture(scope="module", params=CARS)
+def car(request):
+    return read_vehicle(request.param)
+
+
+@pytest.fixture(scope="module")
+def car_designer(car):
+    return Designer(car)
+
+
+def signals_of(vehicle, model, qpos, qvel, ctrl, road):
+    """Every output signal of the linear model from MuJoCo's sensors, and qacc."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, ctrl
+    for wheel, height in zip(vehicle.kind.wheels, road, strict=True):
+        data.mocap_pos[model.body(wheel.road_body).mocapid[0], 2] = height
+    mujoco.mj_forward(model, data)
+    values = []
+    for name in vehicle.linear_model.outputs:
+        parts = vehicle.kind.combined.get(name, {name: 1.0})
+        values.append(
+            sum(f * data.sensor(part).data @ model.sensor(part).user[: len(data.sensor(part).data)] for part, f in parts.items())
+        )
+    return np.array(values), data.qacc.copy()
+
+
+def derivative(vehicle, model, which, count, h=1e-4):
+    """Central differences of the signals in one argument of `signals_of`, shape (signals, count)."""
+    rest = {"qpos": np.zeros(model.nq), "qvel": np.zeros(model.nv), "ctrl": np.zeros(model.nu)}
+    rest["road"] = np.zeros(len(vehicle.kind.wheels))
+    columns = []
+    for direction in h * np.eye(count):
+        up, down = (signals_of(vehicle, model, **{**rest, which: sign * direction})[0] for sign in (1, -1))
+        columns.append((up - down) / (2 * h))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("index", in_the_suite((0, 1), range(4)))
+def test_linearisation_is_the_hand_derived_one(car, index):
+    """Found by differences in MuJoCo's coordinates, motion obeys A, B, Bw and Br, and signals C, D and Cr."""
+    vehicle = [car, *random_vehicles(car, 3, 0.3)][index]
+    model, linear = build_model(vehicle, 1e-3), vehicle.linear_model
+    sizes = {"qpos": model.nq, "qvel": model.nv, "ctrl": model.nu, "road": len(vehicle.kind.wheels)}
+    of = {which: derivative(vehicle, model, which, count) for which, count in sizes.items()}
+    states = [linear.outputs.index(state) for state in linear.states]
+    scale = np.abs(linear.A).max()
+    tolerance = {"atol": 1e-7 * scale}  # asked for; differences of a smooth function: h^2 times its third derivative
+    # The state is a function of qpos, qvel and the road: x = X_q q + X_v v - (...) z_r, all by sensors of those names.
+    for which in ("qpos", "qvel", "road"):
+        expected = linear.C @ of[which][states] + (linear.Cr if which == "road" else 0)
+        np.testing.assert_allclose(of[which], expected, **tolerance)
+    np.testing.assert_allclose(of["ctrl"], linear.D, atol=1e-7 * np.abs(linear.D).max())
+    np.testing.assert_allclose(of["road"][states], linear.Bw, **tolerance)
+    # x' = X_q v + X_v qacc: qacc by differences too.
+    X_q, X_v = of["qpos"][states], of["qvel"][states]
+    rest = {name: np.zeros(size) for name, size in sizes.items()}
+
+    def qacc_derivative(which, count, h=1e-4):
+        pairs = [[signals_of(vehicle, model, **{**rest, which: sign * d})[1] for sign in (1, -1)] for d in h * np.eye(count)]
+        return np.stack([(up - down) / (2 * h) for up, down in pairs], axis=-1)
+
+    np.testing.assert_allclose(X_v @ qacc_derivative("qpos", model.nq), linear.A @ X_q, **tolerance)
+    np.testing.assert_allclose(X_q + X_v @ qacc_derivative("qvel", model.nv), linear.A @ X_v, **tolerance)
+    np.testing.assert_allclose(X_v @ qacc_derivative("ctrl", model.nu), linear.B, atol=1e-7 * np.abs(linear.B).max())
+    count = len(vehicle.kind.wheels)
+    np.testing.assert_allclose(X_v @ qacc_derivative("road", count), linear.A @ linear.Bw + linear.Br, **tolerance)
+
+
+def test_rest_is_equilibrium_with_the_true_axle_loads(car):
+    """At rest nothing accelerates, and the tyres carry the whole weight, each axle its share by the lever rule."""
+    model, p = build_model(car, 1e-3), car.parameters
+    _, qacc = signals_of(car, model, np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nu), np.zeros(len(car.kind.wheels)))
+    assert np.abs(qacc).max() < 1e-9  # m/s2, rad/s2; measured 1e-13
+    loads = {name: deflection * p[f"tyre_stiffness_{name.split('_')[2]}"] for name, deflection in
+             car.kind.static_tyre_deflection(p).items()}  # fmt: skip
+    wheels_per_axle = len(loads) // 2
+    front = sum(load for name, load in loads.items() if "front" in name)
+    wheelbase = p["axle_distance_front"] + p["axle_distance_rear"]
+    expected = p["sprung_mass"] * GRAVITY * p["axle_distance_rear"] / wheelbase
+    expected += wheels_per_axle * p["unsprung_mass_front"] * GRAVITY
+    assert front == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["quarter_car", *CARS])
+def test_the_file_alone_is_the_vehicle_that_ships(name):
+    """The MJCF opens by itself with the shipped vehicle's numbers in it, its timestep and its integrator."""
+    car = read_vehicle(name)
+    alone, written = mujoco.MjModel.from_xml_path(str(car.kind.mjcf)), build_model(car, 1e-3)
+    for field in ("body_mass", "body_inertia", "body_pos", "site_pos", "tendon_stiffness", "tendon_damping"):
+        np.testing.assert_array_equal(getattr(alone, field), getattr(written, field))
+    np.testing.assert_allclose(alone.tendon_lengthspring, written.tendon_lengthspring, rtol=1e-15)  # the last bit of a sum
+    assert alone.opt.timestep == written.opt.timestep
+    assert alone.opt.integrator == written.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+
+
+@pytest.mark.parametrize(("name", "track"), [("half_car", "both"), ("full_car", "left")])
+def test_error_vanishes_with_the_amplitude(name, track):
+    """The difference from the sampled response falls with the square of the height; at 1 mm it is below 1e-4 of the peak."""
+    car = read_vehicle(name)
+    controller, time = designed(car, "I"), sample_times(car, 1.0, 1e-3)
+    heights = np.array([0.1, 0.05, 0.025, 0.0125, 0.001])
+    roads = [Bump(height=height, track=track) for height in heights]
+    physics = simulate([car] * 5, [controller] * 5, roads, time).response
+    errors = []
+    for i, road in enumerate(roads):
+        sampled = sampled_response(car, controller, road, time)
+        errors.append(
+            max(np.abs(physics.run(i)[name] - sampled[name]).max() / sampled.scale(name) for name in car.linear_model.outputs)
+        )
+    slopes = np.diff(np.log(errors[:4])) / np.diff(np.log(heights[:4]))
+    if track == "both":
+        np.testing.assert_allclose(slopes, 2.0, atol=0.15)  # even in the angles; the next order, and RK4's 1e-7 below
+    else:  # roll and pitch together: the order of the hinges shows, a product of two angles against their sum
+        assert np.all(slopes > 0.95)
+    assert errors[4] < 1e-4
+
+
+def test_verdict_says_how_much_is_geometry(car, car_designer):
+    """At the full bump physics agrees to first order only, and the run tells the difference from a wrong model."""
+    time, controller = sample_times(car, 1.0, 1e-3), car_designer.design("II")
+    run = run_controllers(car, [controller], Bump(), time)[0]
+    worst = max(run.agreement.signals.values(), key=lambda signal: signal.sampled)
+    assert run.agreement.agrees
+    assert worst.sampled > worst.allowed  # not RK4's
+    assert worst.small is not None
+    assert worst.small < 1e-2 * worst.sampled  # but geometry's
+    # A car whose analysis is of another one, 1 % heavier, does not agree, at no amplitude.
+    other = dataclasses.replace(car, parameters={**car.parameters, "sprung_mass": 1.01 * car.parameters["sprung_mass"]})
+    wrong = dataclasses.replace(car, parameters=car.parameters)
+    wrong.__dict__["linear_model"] = other.linear_model
+    assert not run_controllers(wrong, [controller], Bump(), time)[0].agreement.agrees
+
+
+@pytest.mark.parametrize("name", ["state", "I", "II"])
+def test_designs_are_certified_and_modest(car_designer, name):
+    """Every controller is proved, close to its own optimum, far better than passive, and asks no actuator for the impossible."""
+    controller, passive = car_designer.design(name), car_designer.design("passive")
+    assert controller.certificate.failures == ()
+    assert controller.optimum_gap < 1e-6
+    assert controller.certificate.norm.value < 0.45 * passive.certificate.norm.value
+    assert np.abs(controller.gain).max() < 2e5  # N/m, N s/m: of the size of the tyre's stiffness
+
+
+def test_half_car_norms_are_the_prototypes():
+    """The half-car's norms are those that a prototype of this design found before: 15.4 passive, 5.55, and 6.1 to 6.3."""
+    designer = Designer(read_vehicle("half_car"))
+    norms = {name: designer.design(name).certificate.norm.value for name in ("passive", "state", "I", "II")}
+    assert norms["passive"] == pytest.approx(15.4, abs=0.05)
+    assert norms["state"] == pytest.approx(5.55, abs=0.05)
+    assert 6.1 < norms["II"] < norms["I"] < 6.3
+
+
+def test_gains_beyond_any_actuator_are_refused():
+    """With the paper's weight of the force, I of the half-car tends to an infinite gain: it stops short, and says how far."""
+    half = read_vehicle("half_car")
+    text = half.text.replace("= 2e-4", "= 1e-4")
+    controller = Designer(parse_vehicle(text)).design("I")
+    assert controller.certificate.failures == ()
+    assert 1e-5 < controller.optimum_gap < 0.05
+    assert controller.certificate.speed_up < 100
+
+
+def quarter_of(half, corner, mass):
+    """The quarter-car at one axle."""
+    quarter, p = read_vehicle("quarter_car"), half.parameters
+    names = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+    return dataclasses.replace(quarter, parameters={"sprung_mass": mass, **{name: p[f"{name}_{corner}"] for name in names}})
+
+
+def test_decoupled_half_car_is_two_quarter_cars():
+    """If a b m_s = I_y each axle of a half-car is its own quarter-car: in analysis to rounding, in MuJoCo to geometry."""
+    half = read_vehicle("half_car")
+    p = dict(half.parameters)
+    a, b, m = p["axle_distance_front"], p["axle_distance_rear"], p["sprung_mass"]
+    half = dataclasses.replace(half, parameters={**p, "pitch_inertia": a * b * m})
+    time, road = sample_times(half, 1.5, 1e-3), Bump(height=0.01)
+    passive = Designer(half).design("passive")
+    response = continuous_response(half, passive, road, time)
+    physics = simulate([half], [passive], [road], time).response.run(0)
+    for corner, mass, delay in (("front", m * b / (a + b), 0.0), ("rear", m * a / (a + b), (a + b) / road.speed)):
+        quarter = quarter_of(half, corner, mass)
+        alone = Designer(quarter).design("passive")
+        late = DelayedBump(height=0.01, delay=delay)
+        expected = continuous_response(quarter, alone, late, time)
+        moved = simulate([quarter], [alone], [late], time).response.run(0)
+        for name in quarter.linear_model.outputs[:5]:
+            peak = float(expected.peak(name))
+            assert np.abs(response[f"{name}_{corner}"] - expected[name]).max() < 1e-9 * peak  # rounding
+            assert np.abs(physics[f"{name}_{corner}"] - moved[name]).max() < 1e-4 * peak  # geometry at 1 cm; measured 1e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class DelayedBump(Bump):
+    """A bump that the first wheel meets later."""
+
+    delay: float = 0.0
+
+    def displacement(self, t, side=""):
+        return super().displacement(t - self.delay, side)
+
+    def velocity(self, t, side=""):
+        return super().velocity(t - self.delay, side)
+
+    @property
+    def kinks(self):
+        return tuple(kink + self.delay for kink in super().kinks)
+
+
+def test_full_car_on_equal_tracks_is_a_half_car():
+    """Over a bump under both tracks a full car is twice its half-car: to rounding, in analysis and in MuJoCo."""
+    full = read_vehicle("full_car")
+    p = full.parameters
+    shared = {name: p[name] for name in read_vehicle("half_car").parameters if name in p}
+    half = dataclasses.replace(
+        read_vehicle("half_car"),
+        parameters={**shared, "sprung_mass": p["sprung_mass"] / 2, "pitch_inertia": p["pitch_inertia"] / 2},
+    )
+    time, road = sample_times(full, 1.0, 1e-3), Bump()
+    ours, theirs = Designer(full).design("passive"), Designer(half).design("passive")
+    pairs = [(continuous_response(full, ours, road, time), continuous_response(half, theirs, road, time), 1e-9)]
+    pairs.append(
+        (simulate([full], [ours], [road], time).response.run(0), simulate([half], [theirs], [road], time).response.run(0), 1e-9)
+    )
+    for whole, part, tolerance in pairs:  # rounding: both cars pitch and heave alike, geometry included
+        for name in half.linear_model.outputs:
+            corner = f"{name}_left" if name.endswith(("_front", "_rear")) else name
+            assert np.abs(whole[corner] - part[name]).max() <= tolerance * part.scale(name)
+
+
+def test_rear_wheels_follow_the_front_ones(car):
+    """The rear wheels meet the road later, by wheelbase over speed, and a bump under the left ones leaves the right flat."""
+    time, p = sample_times(car, 1.0, 1e-3), car.parameters
+    road = Bump(speed=10.0)
+    delay = (p["axle_distance_front"] + p["axle_distance_rear"]) / road.speed
+    response = sampled_response(car, Designer(car).design("passive"), road, time)
+    side = "_left" if car.kind.name == "full_car" else ""
+    np.testing.assert_allclose(response[f"road_displacement_rear{side}"], road.displacement(time - delay), atol=1e-15)
+    if side:
+        left = sampled_response(car, Designer(car).design("passive"), Bump(track="left"), time)
+        assert not np.any(left["road_displacement_front_right"])
+        assert np.any(left["road_displacement_front_left"])
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("half_car", "axle_distance_front = 1.3 ", "axle_distance_front = -1.3 ", ["axle_distance_front = -1.3", "from 1e-06"]),
+        ("half_car", "pitch_inertia = 1222.0", "pitch_inertia = 122200.0", ["pitch_inertia", "no body of 690 kg", "at most"]),
+        ("full_car", "roll_inertia = 460.0", "roll_inertia = 46000.0", ["roll_inertia", "track of 1.51 m"]),
+        ("half_car", '"pitch_rate"]', '"roll_rate"]', ["'roll_rate'", "pitch_rate"]),
+        ("full_car", '"roll_rate"]', '"tyre_deflection_front_left"]', ["'tyre_deflection_front_left'", "road's height"]),
+        ("half_car", "[performance]", "anti_roll_stiffness_front = 1e4\n[performance]", ["only heaves", "take a full_car"]),
+        ("full_car", "[performance]", "anti_roll_stiffness_front = -1.0\n[performance]", ["= -1.0", "from 0 to", "N m/rad"]),
+        ("full_car", "[performance]", "anti_roll_stiffness = 1e4\n[performance]", ["unknown parameter", "stiffness_front"]),
+    ],
+)
+def test_bad_cars_are_refused(name, old, new, words):
+    """A mistake in a car's file, or a bar where none can be, is named, with what is allowed."""
+    text = read_vehicle(name).text
+    assert old in text
+    with refused(*words):
+        parse_vehicle(text.replace(old, new, 1))
+
+
+def test_the_third_inertia_hardly_counts(monkeypatch):
+    """Any yaw inertia that a body can have moves a car that pitches and rolls by 5e-4 of a peak."""
+    vehicle = read_vehicle("full_car")
+    passive, road = Designer(vehicle).design("passive"), Bump(0.1, 5.0, 12.5, "left")
+    p, time = vehicle.parameters, sample_times(vehicle, 1.5, 1e-3)
+    roll, pitch = p["roll_inertia"], p["pitch_inertia"]
+
+    def driven(yaw):
+        def build(*arguments, **options):
+            model = build_model(*arguments, **options)
+            body = model.body("sprung").id
+            np.testing.assert_allclose(model.body_inertia[body], [roll, pitch, pitch])
+            model.body_inertia[body][2] = yaw
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+            return model
+
+        monkeypatch.setattr(readout, "build_model", build)
+        readout.prepared.cache_clear()
+        return simulate([vehicle], [passive], [road], time).response.run(0)
+
+    try:
+        ours, *others = (driven(yaw) for yaw in (pitch, pitch - roll, pitch + roll))
+    finally:
+        readout.prepared.cache_clear()
+    moved = [
+        max(np.abs(other[name] - ours[name]).max() / np.abs(ours[name]).max() for name in vehicle.linear_model.outputs[:-4])
+        for other in others
+    ]
+    assert max(moved) < 5e-4
+    assert moved == pytest.approx([4.5e-4] * 2, rel=0.2)  # measured; with the amplitude squared

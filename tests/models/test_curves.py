@@ -1,0 +1,453 @@
+"""Curves of dampers and springs: as data, in MuJoCo, against an integration of their own, in verdicts and logs."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.roads.road import Bump
+from models.suspension import LEAVES
+from models.suspension.curve import ForceCurve
+from models.suspension.curve_reading import FRICTION_ERROR, VELOCITY, read_curves
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.inspect.__main__ import main as inspect
+from sim.inspect.log import read_log
+from sim.linear.nonlinear_elements import at_rest, at_rest_words, elements
+from sim.linear.sampled_response import taylor4
+from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
+from sim.runs.run import run_controllers, sample_times
+from sim.studies.frequency.identification import identify
+from sim.studies.validity.regime_map import validity
+from synth.controller.report import ideal_lines
+from synth.vehicle.designer import Designer, design
+from tests.support.analysed import energy, sampled_response, simulate
+from tests.support.commands import attacks, prose, refused
+from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, integrated_by_scipy, with_curves
+from tests.support.shared import designed
+
+STATES = ("suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity")
+BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
+ROAD = Bump(height=0.08, length=5.0, speed=12.5)
+
+
+def damper(velocity, force, **more) -> ForceCurve:
+    """A damper's curve from its table."""
+    table = {"velocity": list(velocity), "force": list(force), **more}
+    return read_curves({"damping": table}, {"damping": VELOCITY})["damping"]
+
+
+def random_table(rng):
+    """A damper's table with a point at rest, rising and falling, of the velocity's sign."""
+    v = np.sort(rng.uniform(-2, 2, 9))
+    v[4] = 0.0
+    v = np.sort(v)
+    force = np.sign(v) * rng.uniform(50, 2000, 9)
+    force[0], force[-1] = min(force[0], force[1]), max(force[-1], force[-2])  # its ends do not fall
+    return v, force
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pieces_make_the_curve(seed):
+    """A line and its clipped pieces are the table, whether it rises or falls, and go on beyond it as straight as it ends."""
+    v, force = random_table(np.random.default_rng(seed))
+    if v[0] >= 0 or v[-1] <= 0:
+        pytest.skip("rest is not inside")
+    curve, largest = damper(v, force), np.abs(force).max()
+    x = np.linspace(v[0], v[-1], 501)
+    np.testing.assert_allclose(curve(x), np.interp(x, v, force), atol=1e-12 * largest)  # rounding
+    for end, inner in ((0, 1), (-1, -2)):
+        slope = (force[end] - force[inner]) / (v[end] - v[inner])
+        assert curve(v[end] * 3) == pytest.approx(force[end] + slope * 2 * v[end], rel=1e-12)
+    i = int(np.flatnonzero(v == 0)[0])
+    assert curve.slope == pytest.approx(np.mean(np.diff(force)[i - 1 : i + 1] / np.diff(v)[i - 1 : i + 1]), rel=1e-12)
+    x = np.linspace(-3, 3, 200_001)
+    work = np.concatenate([[0.0], np.cumsum((curve.pieces.force(x[1:]) + curve.pieces.force(x[:-1])) / 2 * np.diff(x))])
+    assert np.abs(curve.work(x) - (work - np.interp(0, x, work))).max() < 1e-6 * largest  # a sum of 200,000 strips
+
+
+def test_it_has_left_its_line_where_it_says():
+    """`left_at` is where the difference from the line at rest is a tenth of the largest force, and nothing nearer is."""
+    curve = damper([-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], [-1350, -750, -262.5, 0, 262.5, 1000, 1900])
+    for side, at in zip((-1, 1), curve.left_at, strict=True):
+        assert side * at > 0
+        off = np.abs(curve(np.linspace(0, at, 100)) - curve.slope * np.linspace(0, at, 100))
+        assert off[-1] == pytest.approx(LEAVES * 1900, rel=1e-12)
+        assert off[:-1].max() < off[-1]
+
+
+def test_a_fine_table_is_fewer_lines_to_the_error_it_says():
+    """For thousands of points remain as few lines as will do, no farther from any than is said; more error, fewer lines."""
+    v = np.linspace(-2, 2, 4001)
+    force = 1500 * np.tanh(2 * v) + 100 * v
+    counts = []
+    for error in (0.02, 0.005, 0.003):
+        curve = damper(v.tolist(), force.tolist(), fit_error=error)
+        assert np.abs(curve(v) - force).max() <= error * force.max() * (1 + 1e-9)
+        counts.append(len(curve.x) - 1)
+        assert f"4001 points as {counts[-1]} straight lines, within {100 * error:g} % of {force.max():.4g} N" in curve.words
+    assert counts == sorted(counts)
+    assert counts[0] < 12
+    assert damper([-1, -0.5, 0, 0.5, 1], [-1000, -500, 0, 500, 1000]).pieces.slope.size == 0  # on one line
+
+
+def test_friction_is_smooth_to_the_error_it_says():
+    """Friction is F tanh(v / v0) to 2 % of F; it is beside the damper, and no part of the slope that analysis takes."""
+    v, force = [-1.0, -0.2, 0.0, 0.2, 1.0], [-900.0, -300, 0, 300, 900]
+    plain, rough = damper(v, force), damper(v, force, friction=80.0, friction_velocity=0.02)
+    at = np.linspace(-0.9, 0.9, 20_001)
+    assert np.abs(rough(at) - plain(at) - 80 * np.tanh(at / 0.02)).max() <= 80 * FRICTION_ERROR
+    assert rough.slope == plain.slope
+    assert rough(-at) == pytest.approx(-rough(at), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_mujoco_pulls_as_the_tables_say(kind):
+    """At any deflection and speed, what MuJoCo's suspensions pull with beyond their line is what the tables have beyond it."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    model, straight = build_model(vehicle, 1e-3), build_model(vehicle.linearised, 1e-3)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        found = []
+        motion = rng.uniform(-0.02, 0.02, model.nq), rng.uniform(-0.3, 0.3, model.nv)  # within the tables
+        for one in (model, straight):
+            data = mujoco.MjData(one)
+            data.qpos[:], data.qvel[:] = motion
+            mujoco.mj_forward(one, data)
+            found.append(data)
+        assert model.nu > straight.nu
+        total = np.zeros(model.nv)
+        for one in vehicle.fitted:
+            name = one.tendon
+            rest = model.tendon_length0[model.tendon(name).id]
+            x = found[0].tendon(name).velocity[0] if one.over is VELOCITY else found[0].tendon(name).length[0] - rest
+            J = np.zeros((model.ntendon, model.nv))
+            mujoco.mju_sparse2dense(J, found[0].ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+            total -= float(np.interp(x, one.curve.x, one.curve.force) - one.curve.slope * x) * J[model.tendon(name).id]
+        assert np.abs(found[0].qfrc_actuator - total).max() < 1e-8 * np.abs(total).max()  # of tendons' rounded lengths
+
+
+def test_a_straight_curve_is_the_linear_vehicle(paper):
+    """A table that lies on the parameter's line gives the linear vehicle's numbers: nothing is fitted."""
+    straight = with_curves(
+        suspension_damping="{ velocity = [-1.0, -0.3, 0.4, 1.0], force = [-400.0, -120.0, 160.0, 400.0] }",
+        suspension_stiffness="{ deflection = [-0.1, 0.0, 0.1], force = [-1310.0, 0.0, 1310.0] }",
+    )
+    assert straight.parameters == pytest.approx(paper.parameters, rel=1e-14)
+    time = sample_times(paper, 1.0, 1e-3)
+    for one in run_controllers(straight, [design(straight, name) for name in ("passive", "I")], ROAD, time):
+        (plain,) = run_controllers(paper, [design(paper, one.controller.name)], ROAD, time)
+        for name in plain.physics.names:
+            for response in ("physics", "sampled"):
+                a, b = getattr(one, response)[name], getattr(plain, response)[name]
+                assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
+        assert np.isinf(one.agreement.ended[CURVE.name])
+
+
+@pytest.mark.attack
+def test_against_equations_written_out_and_integrated_by_scipy():
+    """With curves of damper and spring our exact response is SciPy's to 1e-8; MuJoCo is within 2e-5, at half the step less."""
+    vehicle = with_curves(**BOTH)
+    passive, errors = design(vehicle, "passive"), []
+    for h in (1e-3, 5e-4):
+        time = sample_times(vehicle, 0.6, h)
+        reference = integrated_by_scipy(vehicle, ROAD, time)
+        exact = sampled_response(vehicle, passive, ROAD, time)
+        physics = simulate([vehicle], [passive], [ROAD], time).run(0)
+        off = []
+        for name, column in zip(STATES, reference.T, strict=True):
+            peak = np.abs(column).max()
+            assert np.abs(exact[name] - column).max() < 1e-8 * peak  # SciPy goes on past a knot by a millionth of a step
+            off.append(np.abs(physics[name] - column).max() / peak)
+        errors.append(max(off))
+    assert errors[0] < 2e-5
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        *attacks(["", "[limits]\nactuator_bandwidth = 60.0"]),
+        "[implementation]\nsample_period = 0.005\ndelay = 1.4",
+        '[controllers.by_acceleration]\nmeasured = ["sprung_acceleration", "suspension_velocity"]\ngain = [[-80.0, 100.0]]',
+        "[controllers.dynamic]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]",
+    ],
+    ids=["ideal", "lagging", "late", "acceleration", "states"],
+)
+def test_rk4_is_foretold_to_rounding(more):
+    """The error of RK4 on a quarter-car with curves is foretold stage by stage: MuJoCo does just that, whatever the loop."""
+    vehicle = with_curves(more=more, **BOTH)
+    time = sample_times(vehicle, 0.5, 1e-3)
+    for name in vehicle.controllers if "controllers" in more else ("passive", "I"):
+        controller = Designer(vehicle).design(name)
+        physics = simulate([vehicle], [controller], [ROAD], time).run(0)
+        foretold = sampled_response(vehicle, controller, ROAD, time, taylor4)
+        for signal in vehicle.linear_model.outputs:
+            scale = foretold.scale(signal) or 1.0
+            assert np.abs(physics[signal] - foretold[signal]).max() < 1e-9 * scale, (name, signal)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", *attacks(["half_car", "full_car"])])
+def test_a_run_agrees_and_says_what_its_curves_did(kind):
+    """Physics follows its reference far beyond the line at rest, cars to first order; the energy balances; event and share are
+    those of the signals."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    time = sample_times(vehicle, 0.4, 1e-3)
+    controllers = [designed(vehicle, name) for name in ("passive", "I")]
+    road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD  # left and right differ
+    for run in run_controllers(vehicle, controllers, road, time):
+        assert run.agreement.agrees
+        assert run.energy is not None
+        assert run.energy.balances
+        assert run.energy.residual < 1e-5  # measured 3e-7
+        assert np.isinf(run.agreement.until)  # the reference goes on
+        left, when = departures(vehicle, run.physics), run.agreement.ended[CURVE.name]
+        worst = {}
+        for one in vehicle.fitted:
+            ending = one.deflection.removeprefix("suspension_deflection")
+            signal = run.physics[f"suspension_velocity{ending}" if one.over is VELOCITY else one.deflection]
+            off = np.abs(one.curve(signal) - one.curve.slope * signal) / np.abs(one.curve.force).max()
+            worst[one.parameter] = np.maximum(worst.get(one.parameter, 0), off)
+        assert left == pytest.approx({name: off.max() for name, off in worst.items()}, rel=1e-9)
+        first = np.flatnonzero(np.max(list(worst.values()), axis=0) >= LEAVES)
+        assert when == (time[first[0]] if len(first) else np.inf)
+        assert np.isfinite(when)
+
+
+def test_energy_tells_a_curve_that_nobody_wrote_down():
+    """Were a curve's force left out of the balance, that would not balance."""
+    vehicle = with_curves(**BOTH)
+    time = sample_times(vehicle, 1.0, 1e-3)
+    runs = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time)
+    assert energy(vehicle, runs, 0, ROAD).balances
+    for left_out in BOTH:
+        other = dataclasses.replace(vehicle, curves={name: one for name, one in vehicle.curves.items() if name != left_out})
+        assert not energy(other, runs, 0, ROAD).balances
+
+
+def test_a_parameter_that_changes_scales_its_curve():
+    """With another parameter, as campaigns sample them, the curve's forces are so many times as large, in physics, too."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    harder = dataclasses.replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3 * 1750.0})
+    assert vehicle.parameters["suspension_damping"] == 1750.0
+    (plain,), (hard,) = vehicle.fitted, harder.fitted
+    assert hard.curve(np.array([-1.0, 0.3, 2.0])) == pytest.approx(3 * plain.curve(np.array([-1.0, 0.3, 2.0])))
+    time = sample_times(vehicle, 0.5, 1e-3)
+    both = simulate([vehicle, harder], [design(one, "passive") for one in (vehicle, harder)], [ROAD, ROAD], time)
+    for i, one in enumerate((vehicle, harder)):
+        foretold = sampled_response(one, design(one, "passive"), ROAD, time, taylor4)
+        assert np.abs(both.run(i)["sprung_velocity"] - foretold["sprung_velocity"]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("{ velocity = [0.0], force = [0.0] }", "velocity has 1 point(s); give a list of at least two"),
+        ("{ velocity = [-1.0, 1.0] }", "force is missing"),
+        ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
+        ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
+        ("{ velocity = [-1.0, nan, 1.0], force = [-1.0, 0.0, 1.0] }", "velocity has nan as point 2; give finite numbers"),
+        ("{ velocity = [-1.0, 1.0], force = [-1.0, 'x'] }", "force has 'x' as point 2"),
+        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
+        ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give m/s, not mm/s"),
+        ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
+        ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
+        ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
+        ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
+        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "force is 0 N at most, and nothing below 1e-06 N counts"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = -3, friction_velocity = 0.02 }", "friction = -3 is not allowed"),
+        ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
+        ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
+        ("{ deflection = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000], friction = 3 }", "unknown key 'friction'"),
+    ],
+)
+def test_a_table_that_is_none(table, said):
+    """Whatever is wrong with the table of a damper or a spring is one line that says what, and what to give."""
+    name = "suspension_stiffness" if "deflection" in table else "suspension_damping"
+    with refused(said, f"[curves] {name}"):
+        with_curves(**{name: table})
+
+
+def test_what_curves_cannot_stand_in_for():
+    """A curve of neither a stiffness nor a damping, of one that is also a number, or of a million points is refused."""
+    text = curved_text(suspension_damping=DIGRESSIVE)
+    with pytest.raises(InputError, match="suspension_damping is in \\[parameters\\] and in \\[curves\\]"):
+        parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
+    with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
+        with_curves(sprung_mass=DIGRESSIVE)
+    with pytest.raises(InputError, match="velocity has 1000000 points; at most 20000 are read"):
+        damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0])
+
+
+DPR = """$------------------------------------------MDI_HEADER
+[MDI_HEADER]
+ FILE_TYPE = 'dpr'
+[UNITS]
+ LENGTH = 'mm'
+ ANGLE = 'degrees'
+ FORCE = 'newton'
+ TIME = 'second'
+$------------------------------------------CURVE
+[CURVE]
+{ vel   force}
+ -1500.0 -1350.0
+ -600.0  -750.0
+ -150.0  -262.5
+ 0.0     0.0
+ 150.0   262.5   ! rebound
+ 600.0   1000.0
+ 1500.0  1900.0
+"""
+CSV = "# measured\nvelocity [mm/s]; force (kN)\n" + "\n".join(
+    f"{v}; {f}" for v, f in zip([-1500, -600, -150, 0, 150, 600, 1500], [-1.35, -0.75, -0.2625, 0, 0.2625, 1.0, 1.9], strict=True)
+)
+
+
+IN_MILLISECONDS = re.sub(r"(?m)^ ([-\d.]+) ", lambda found: f" {float(found[1]) / 1e3} ", DPR).replace("'second'", "'ms'")
+
+
+@pytest.mark.parametrize(("name", "content"), [("damper.csv", CSV), ("damper.dpr", DPR), ("ms.dpr", IN_MILLISECONDS)])
+@pytest.mark.parametrize("form", ["[curves]\nsuspension_damping = {{ file = '{}' }}", "[curves.suspension_damping]\nfile = '{}'"])
+def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, form):
+    """A CSV file or a damper property file, in its units, is the same curve as its table in SI, and the text has the table."""
+    (tmp_path / name).write_text(content)
+    text = curved_text(suspension_damping=DIGRESSIVE)
+    text = text[: text.index("[curves]")] + form.format(name) + "\n"
+    (tmp_path / "mine.toml").write_text(text)
+    vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
+    for what in ("x", "force"):
+        np.testing.assert_allclose(getattr(vehicle.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
+    assert f"# from '{name}', {len(content)} bytes, SHA-256" in vehicle.text
+    again = parse_vehicle(vehicle.text)
+    np.testing.assert_array_equal(again.fitted[0].curve.force, vehicle.fitted[0].curve.force)
+    assert tmp_path / name in vehicle.files
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "column 1, 'velocity', has no unit; allowed: cm/s"),
+        ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "has no unit; allowed: N, daN, kN, lbf; write force [N] above it"),
+        ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "is in 'km'; allowed: cm/s, ft/s, in/s, m/s, mm/s"),
+        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "none of deflection (positive: in extension), force"),
+        ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 names its 2 column(s)"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "line 3, column 2: 'nan' is not"),
+        ("a.csv", "velocity [m/s], force [N]\n", "no line of numbers; give a .csv file"),
+        ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
+        ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
+        ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),
+        ("a.dpr", DPR.replace("{ vel   force}", "{ disp force}"), "has a table of disp, force in [CURVE]"),
+        ("gone.csv", None, "gone.csv"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_curve(tmp_path, name, content, said):
+    """Whatever is wrong with a curve's file is one line with its name; a missing unit is asked for, never guessed."""
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    text = curved_text(suspension_damping=f"{{ file = '{name}' }}")
+    (tmp_path / "mine.toml").write_text(text)
+    with refused(said):
+        read_vehicle(tmp_path / "mine.toml")
+
+
+def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
+    """The verdict says when the curve leaves its line and by how much; from the log alone all of it is computed again."""
+    (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
+    arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.6"]
+    assert main([*arguments, "--logs", str(tmp_path / "logs"), "-v"]) == 0
+    said = prose(capsys.readouterr().out)
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    assert "suspension_velocity" in read_log(log).result["runs"][0]["signals"]
+    vehicle = read_vehicle(tmp_path / "mine.toml")
+    (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
+    when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
+    assert f"off its line at rest by 10 % of its largest first at {when:.4g} s" in said
+    assert f"suspension_damping is off its line at rest by up to {100 * share:.2g} % of its largest force" in said
+    assert inspect([str(log)]) == 0
+    assert "the log still proves what it claims" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+def test_a_suspension_without_an_actuator_pulls_alike(kind):
+    """What a curve's force does where no actuator pushes follows from what the spring's parameter does, and is the same."""
+    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+    without = tuple(dataclasses.replace(one, force="") for one in vehicle.kind.suspensions)
+    other = dataclasses.replace(vehicle, kind=dataclasses.replace(vehicle.kind, suspended=without))
+    ours, theirs = elements(vehicle, vehicle.linear_model), elements(other, other.linear_model)
+    for name in ("push", "outputs", "rows"):
+        expected = getattr(ours, name)
+        np.testing.assert_allclose(getattr(theirs, name), expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_own_kinds_have_curves_where_they_say_so(tmp_path):
+    """A kind of one's own names the parameters of its suspensions; where its MJCF does not follow them, that is said."""
+    kind = read_vehicle("quarter_car").kind
+    source = (
+        kind.mjcf.with_suffix(".py").read_text().replace('"suspension_damping"', '"c_strut"').replace('"quarter_car"', '"mine"')
+    )
+    named = 'suspended=(Suspension("suspension_deflection", "suspension", "control_force", "suspension_stiffness", "c_strut"),),'
+    source = source.replace("invariants=INVARIANTS,", named).replace(
+        "Variation, VehicleKind", "Suspension, Variation, VehicleKind"
+    )
+    (tmp_path / "mine.py").write_text(source)
+    (tmp_path / "mine.xml").write_text(kind.mjcf.read_text())
+    text = curved_text(suspension_damping=DIGRESSIVE).replace("suspension_damping", "c_strut").replace('"quarter_car"', '"mine"')
+    (tmp_path / "mine.toml").write_text(text)
+    vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
+    time = sample_times(vehicle, 0.3, 1e-3)
+    found, expected = (simulate([one], [design(one, "passive")], [ROAD], time).run(0) for one in (vehicle, plain))
+    np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
+
+    (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
+    with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can replace it"):
+        build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
+
+
+def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
+    """Claims say that they are of the line at rest; with friction, where no road is so small that physics is that line,
+    frequency responses have the line in MuJoCo, too, and say so."""
+    rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
+    smooth = with_curves(suspension_damping=DIGRESSIVE)
+    (line,) = ideal_lines(smooth, [design(smooth, "passive")])
+    assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
+    assert at_rest(smooth) is smooth
+    assert at_rest_words(smooth) == ""
+    assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"
+    controller = [design(rough, "I")]
+    off, near = (
+        float(one.error(one.sampled).max())
+        for vehicle in (rough, at_rest(rough))
+        for one in identify(vehicle, controller, 1e-4, 4e-3, 12.5)
+    )
+    assert off > 0.1  # friction holds the suspension over 0.1 mm: measured 1.0
+    assert near < 1e-3  # RK4's at 4 ms: measured 5e-4
+
+
+@pytest.mark.attack
+def test_a_map_foretells_when_curves_leave_their_lines():
+    """Over bumps of many heights MuJoCo's curves leave their lines when their own response does, to the sample, or not at all."""
+    vehicle = with_curves(suspension_damping=DIGRESSIVE)
+    bumps = [Bump(height, 5.0, speed) for height in (0.004, 0.02, -0.03, 0.06) for speed in (6.0, 15.0)]
+    cells = validity(vehicle, design(vehicle, "I"), bumps, sample_times(vehicle, 1.0, 1e-3))
+    curve = REGIME_ENDS.index(CURVE)
+    assert {*cells.first.tolist()} == {-1, curve}
+    np.testing.assert_array_equal(cells.first, cells.predicted)
+    np.testing.assert_array_equal(cells.time, cells.predicted_time)
+    assert np.all((cells.used[:, curve] >= 1) == (cells.first == curve))
+    near = 0.02 / float(cells.used[3, curve])  # about where it just leaves it, at 15 m/s
+    heights = [Bump(share * near, 5.0, 15.0) for share in np.linspace(0.8, 1.2, 21).tolist()]
+    edge = validity(vehicle, design(vehicle, "I"), heights, sample_times(vehicle, 0.4, 1e-3))
+    assert edge.edge.any()
+    assert not edge.edge.all()

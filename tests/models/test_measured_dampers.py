@@ -1,0 +1,287 @@
+"""Adjustable dampers between two measured curves: in MuJoCo, against the exact response, with all laws, on cars, and refused."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import itertools
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from models.common.errors import InputError
+from models.roads.road import Bump
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.runs.run import sample_times
+from sim.studies.ride.expected import expect
+from synth.vehicle.designer import Designer
+from tests.models.test_curves_beside import FRICTION, ROUGH, check_physics, off, runs, with_tables
+from tests.models.test_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
+from tests.support.analysed import switched
+from tests.support.commands import attacks, refused
+
+SOFT = "{ velocity = [-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], force = [-700, -380, -120, 0, 130, 420, 800] }"
+HARD = "{ velocity = [-1.5, -0.5, -0.2, 0.0, 0.2, 0.5, 1.5], force = [-2600, -1700, -1000, 0, 1400, 2300, 3600] }"
+PAIR = f'[actuators]\nkind = "damper"\nc_min = {SOFT}\nc_max = {HARD}\n'
+NAMES = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
+LAWS = "".join(f'[controllers.{name}]\nsemi_active = "{name}"\n' for name in NAMES)
+TABLES = [[float(x) for x in text.replace("]", "[").split("[")[i].split(",")] for text in (SOFT, HARD) for i in (1, 3)]
+
+
+def table(number, v):
+    """A curve at velocities within it, from its points as they stand in the file: the softest is 0, the firmest 1."""
+    return np.interp(v, TABLES[2 * number], TABLES[2 * number + 1])
+
+
+def test_mujoco_pulls_as_the_tables_say():
+    """At any velocity and setting MuJoCo's suspension pulls with the share of both tables that is set, friction beside it."""
+    text = with_tables(QUARTER, suspension_damping=FRICTION) + PAIR
+    for vehicle, rough in ((parse_vehicle(QUARTER + PAIR), 0.0), (parse_vehicle(text), 60.0)):
+        model = build_model(vehicle, 1e-3)
+        data, (one,) = mujoco.MjData(model), vehicle.adjustable
+        assert one.damper.pair is not None
+        ramps, body = len(one.damper.pair.ramps), model.joint("sprung").dofadr[0]
+        rng, spring = np.random.default_rng(0), vehicle.parameters["suspension_stiffness"]
+        for _ in range(200):
+            v, share = float(rng.uniform(-1.4, 1.4)), float(rng.uniform(0.0, 1.0))
+            if abs(v) < 0.12:
+                continue  # where friction has not come to its full force
+            data.qpos[:], data.qvel[:] = 0.0, 0.0
+            data.qvel[body] = v
+            data.ctrl[0] = data.ctrl[-ramps:] = one.low + share * (one.high - one.low)
+            mujoco.mj_forward(model, data)
+            moving = data.qfrc_actuator + data.qfrc_passive
+            data.qvel[:] = 0.0
+            mujoco.mj_forward(model, data)
+            pull = float((data.qfrc_actuator + data.qfrc_passive - moving)[body])
+            expected = (1 - share) * table(0, v) + share * table(1, v) + rough * np.sign(v)
+            assert pull == pytest.approx(expected, abs=1e-6 * spring)  # rounding of lengths of a metre
+
+
+BUILT = {"": "", "lag": "bandwidth = 100.0\n", "late": LATE}
+# A linear law, those of two values, of any, and of none where the spring's force counts, and each way to be late.
+USUAL = (("sky", "late"), ("hybrid", "lag"), ("pdd", "late"))
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        *(pytest.param(name, BUILT[how], id=f"{name}-{how}") for name, how in USUAL),
+        *attacks((name, BUILT[how]) for name, how in zip(("passive", "leaky", *NAMES), itertools.cycle(BUILT))),
+    ],
+)
+def test_the_exact_response(name, more):
+    """MuJoCo is what RK4 is foretold to make, to rounding, near the exact response, and takes energy at every sample.
+
+    1e-9: rounding, over 350 steps. 1e-4: RK4 steps over knots, which is of second order: 2e-6 to 4e-5 of a peak at 1 ms, and 9e-5
+    of hybrid, which asks for most.
+    """
+    (run,) = runs(QUARTER + LAWS + PAIR + more, name, duration=0.35)
+    check_physics(run, 1e-4)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("text", [ROUGH + DAMPER, QUARTER + PAIR], ids=["beside", "measured"])
+def test_half_the_step_is_nearer(text):
+    """With half the step physics is nearer to its exact response, the controller sampled as before."""
+    text += "[implementation]\nsample_period = 0.002\n"
+    (whole,), (half,) = (runs(text, "sky", duration=0.3, step=step) for step in (1e-3, 5e-4))
+    assert off(half, half.sampled) < 0.6 * off(whole, whole.sampled)
+
+
+@pytest.mark.parametrize("bandwidth", [80.0, *attacks([None])])
+def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
+    """Settings at random make the motion that SciPy makes of (28) with all tables, friction and lag, to 1e-8."""
+    vehicle = parse_vehicle(ROUGH + PAIR + (f"bandwidth = {bandwidth}\n" if bandwidth else ""))
+    (one,) = vehicle.adjustable
+    time, rng, p = sample_times(vehicle, 0.15, 1e-3), np.random.default_rng(3), vehicle.parameters
+    shares = np.repeat(rng.uniform(0.0, 1.0, 26), 10)[: len(time)]
+    nominal, wide = -one.low / (one.high - one.low), one.high - one.low
+    made = np.stack([one.low + wide * shares, np.zeros(len(time))], axis=-1)
+    found = switched(vehicle, BUMP, time, None, made)
+    spring, line = (placed.curve for placed in parse_vehicle(ROUGH).fitted)  # friction lies on a line of 1000 N s/m
+    h, rate = float(time[1]), bandwidth or 0.0
+
+    def motion(t, x, z_r, asked):
+        z_s, z_u, v_s, v_u, share = x
+        v, now = v_s - v_u, share if rate else asked
+        pull = np.interp(z_s - z_u, spring.x, spring.force) + np.interp(v, line.x, line.force) - 1000.0 * v
+        pull += (1 - now) * table(0, v) + now * table(1, v)
+        tyre = p["tyre_stiffness"] * (z_u - z_r)
+        return [v_s, v_u, -pull / p["sprung_mass"], (pull - tyre) / p["unsprung_mass"], rate * (asked - share)]
+
+    x, states, most = np.array([0.0, 0.0, 0.0, 0.0, nominal]), [], np.zeros(2)
+    for k, start in enumerate(time):
+        states.append([x[0] - x[1], x[1] - float(BUMP.displacement(start)), x[2], x[3]])
+        most = np.maximum(most, np.abs([x[0] - x[1], x[2] - x[3]]))
+        args = float(BUMP.displacement(start + h / 2)), shares[k]
+        x = solve_ivp(motion, (0.0, h), x, "DOP853", rtol=1e-12, atol=1e-13, max_step=h / 16, args=args).y[:, -1]
+    names = ("suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity")
+    ours = found.states[:, [vehicle.linear_model.states.index(name) for name in names]]
+    assert most[0] < 0.1  # within the tables
+    assert most[1] < 1.0
+    # SciPy goes over knots within sixteenths of a step, which is 1e-9 of a peak.
+    assert np.abs(ours - states).max() < 1e-8 * np.abs(states).max()
+
+
+@pytest.mark.parametrize("bend", [1e-12, *attacks([0.0])])
+def test_straight_curves_are_numbers(bend):
+    """Two straight tables are c_min and c_max, and two that hardly bend give their numbers to 1e-9, by all the code of curves."""
+    soft, hard = (
+        f"{{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [{-c}, {-c / 2 * (1 + bend)}, 0.0, {c / 2 * (1 + bend)}, {c}] }}"
+        for c in (300.0, 4000.0)
+    )
+    text = f'[actuators]\nkind = "damper"\nc_min = {soft}\nc_max = {hard}\n'
+    names = ("sky", "pdd")
+    made = parse_vehicle(QUARTER + text)
+    if not bend:
+        numbers = parse_vehicle(QUARTER + DAMPER)
+        assert (made.dampers, made.parameters, made.fitted) == (numbers.dampers, numbers.parameters, numbers.fitted)
+        return
+    for more in ("", "bandwidth = 100.0\n"):
+        some, plain = (runs(QUARTER + LAWS + each + more, *names, duration=0.1) for each in (text, DAMPER))
+        for one, other in zip(some, plain, strict=True):
+            for name in other.physics.names:
+                for response in ("physics", "sampled"):
+                    a, b = getattr(one, response)[name], getattr(other, response)[name]
+                    far = 1e-9 * np.abs(b).max() if "missing" not in name and name != "damping" else 1e-6 * 4000.0
+                    assert np.abs(a - b).max() <= far, name
+
+
+def test_what_a_damper_gives():
+    """At every sample its force lies between both tables, what is missing is u* - u, and the extremes are the tables."""
+    hard, sky = runs(QUARTER + LAWS + PAIR, "skyhook", "sky", duration=0.35)
+    for run in (hard, sky):
+        physics = run.physics
+        v = physics["suspension_velocity"]
+        (one,) = run.vehicle.adjustable
+        pull = one.ramp(v, 0.0) - physics["control_force"]
+        low, high = table(0, v), table(1, v)
+        inside = np.abs(v) < 1.5
+        assert np.all((pull - low)[inside] * np.sign(v[inside]) >= -1e-6)
+        assert np.all((high - pull)[inside] * np.sign(v[inside]) >= -1e-6)
+    v, body = hard.physics["suspension_velocity"], hard.physics["sprung_velocity"]
+    pull = hard.vehicle.adjustable[0].ramp(v, 0.0) - hard.physics["control_force"]
+    clear = (np.abs(v) > 1e-6) & (np.abs(body) > 1e-6) & (np.abs(v) < 1.5)
+    expected = np.where(body * v > 0, table(1, v), table(0, v))
+    assert np.abs(pull - expected)[clear].max() < 1e-6
+    asked = sky.physics["control_force"] + sky.physics["missing_force"]
+    assert np.abs(asked - (-3000.0 * sky.physics["sprung_velocity"] + 500.0 * sky.physics["unsprung_velocity"])).max() < 1e-6
+    assert np.abs(sky.physics["missing_force"]).max() > 10.0
+
+
+def test_the_nominal_setting_is_where_the_parameter_says():
+    """The force without a request is the share of both curves whose slope at rest is suspension_damping."""
+    vehicle = parse_vehicle(QUARTER + PAIR)
+    (one,) = vehicle.adjustable
+    assert (one.damper.c_min, one.damper.c_max) == pytest.approx(((800 + 130 / 0.15) / 2, 6000.0), rel=1e-12)
+    share = (1000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
+    v = np.linspace(-1.4, 1.4, 51)
+    np.testing.assert_allclose(one.ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
+    (fitted,) = vehicle.fitted
+    assert fitted.curve.slope == vehicle.parameters["suspension_damping"]
+    assert vehicle.linearised.fitted == ()
+    assert vehicle.with_ideal_actuators.fitted[0].curve(v) == pytest.approx(fitted.curve(v), abs=1e-9)
+    other = replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3000.0})
+    share = (3000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
+    np.testing.assert_allclose(other.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ["skyhook_modal", *attacks(("sky", "skyhook"))])
+def test_a_car(name):
+    """Axle by axle, one with curves and one with numbers and a lag, all but geometry is exact: over 1 mm within 3e-5 of a peak.
+
+    1e-5 is geometry's, in proportion to the bump, and 2e-5 that of RK4 over knots.
+    """
+    laws = "".join(f'[controllers.{law}]\nsemi_active = "{law}"\n' for law in ("skyhook", "skyhook_modal"))
+
+    def car(soft, hard):
+        return BOTH.replace("c_min = 300.0\nc_max = 3000.0", f"c_min = {soft}\nc_max = {hard}") + laws
+
+    # These bend within what a bump of a millimetre makes.
+    soft = "{ velocity = [-1.0, -0.005, 0.0, 0.005, 1.0], force = [-700, -4, 0, 5, 900] }"
+    hard = "{ velocity = [-1.0, -0.005, 0.0, 0.003, 1.0], force = [-1700, -18, 0, 17, 2000] }"
+    text = car(soft, hard)
+    (run,) = runs(text, name, road=Bump(0.001, 5.0, 12.5), duration=0.4)
+    assert run.passed
+    assert [one.damper.pair is None for one in run.vehicle.adjustable] == [False, True]
+    assert np.abs(run.physics["suspension_velocity_front"]).max() > 0.01
+    assert off(run, run.sampled) < 3e-5
+    (whole,) = runs(car(SOFT, HARD), name, road=Bump(0.05, 5.0, 12.5), duration=0.2)
+    assert whole.passed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (f"c_max = {HARD}\n", "", r"c_max is missing"),
+        (f"c_max = {HARD}", "c_max = 4000.0", r"c_min is a curve, and c_max a number; give both as curves, or both as numbers"),
+        (HARD, SOFT, r"at -1.5 m/s c_min pulls with -700 N and c_max with -700 N; give as c_max the firmest setting"),
+        ("-1700, -1000", "-1700, -100", r"at -0.2 m/s c_min pulls with .* N and c_max with -100 N"),
+        ("force = [-2600", "force = [nan", r"\[actuators\] c_max: force has nan as point 1"),
+        (HARD, "{ deflection = [-1.0, 1.0], force = [-1, 1] }", r"c_max: unknown key 'deflection'"),
+        ("1400, 2300, 3600", "1400, 2300, 2310", r"beyond the last points c_min and c_max go on with 422.222 and 10 N s/m"),
+        (PAIR, PAIR + "c_middle = 3\n", r"unknown key 'c_middle'"),
+    ],
+)
+def test_tables_that_are_none(old, new, said):
+    """Whatever is wrong with a pair of tables is one line."""
+    with refused(match=said):
+        parse_vehicle(QUARTER + PAIR.replace(old, new))
+
+
+def test_what_else_is_refused():
+    """A nominal damper outside the slopes at rest, a curve beside that feeds energy in, a force that is measured, other curves on
+    one axle: a line each."""
+    with pytest.raises(InputError, match=r"suspension_damping = 700 N s/m, .* not among the 833.333 to 6000 N s/m"):
+        parse_vehicle(QUARTER.replace("suspension_damping = 1000.0", "suspension_damping = 700.0") + PAIR)
+    falling = "{ velocity = [-1.5, -0.2, 0.0, 0.2, 1.5], force = [-250, -200, 0, 200, 250] }"
+    with pytest.raises(InputError, match=r"adds to an adjustable damper, .* feeds energy in"):
+        parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + PAIR)
+    told = '[controllers.told]\nmeasured = ["sprung_acceleration", "control_force"]\ngain = [[-500.0, 0.1]]\n'
+    with pytest.raises(InputError, match="measures control_force, and no sensor tells it of a damper with curves"):
+        parse_vehicle(QUARTER + told + PAIR)
+    one_side = f"[actuators.front_left]\nc_min = {SOFT}\nc_max = {HARD.replace('-2600', '-2700')}\n"
+    with pytest.raises(InputError, match="suspensions that share suspension_damping_front have dampers of other curves"):
+        parse_vehicle(read_vehicle("full_car").text + PAIR + one_side)
+
+
+def test_files_hold_them(tmp_path):
+    """A CSV and a .dpr file are the tables that stand in them, for all dampers or for one; the text that logs have is whole."""
+    (tmp_path / "firm.csv").write_text(
+        "velocity [mm/s], force [kN]\n" + "".join(f"{1e3 * v!r}, {1e-3 * f!r}\n" for v, f in zip(*TABLES[2:], strict=True))
+    )
+    points = "".join(f" {1e3 * v} {f}\n" for v, f in zip(*TABLES[:2], strict=True))
+    units = "[UNITS]\n LENGTH = 'mm'\n FORCE = 'newton'\n TIME = 'second'\n"
+    (tmp_path / "soft.dpr").write_text(f"{units}[CURVE]\n{{ vel force}}\n{points}")
+    named = '[actuators]\nkind = "damper"\nc_min = { file = "soft.dpr" }\nc_max = { file = "firm.csv" }\n'
+    half = BOTH.replace("c_min = 300.0\nc_max = 3000.0", 'c_min = { file = "soft.dpr" }\nc_max = { file = "firm.csv" }')
+    for text in (QUARTER + named, half):
+        (tmp_path / "car.toml").write_text(text)
+        vehicle = read_vehicle(tmp_path / "car.toml")
+        assert {file.name for file in vehicle.named_files} == {"soft.dpr", "firm.csv"}
+        for made in (vehicle, parse_vehicle(vehicle.text)):
+            pair = made.adjustable[0].damper.pair
+            assert pair is not None
+            v = np.linspace(-1.5, 1.5, 31)
+            np.testing.assert_allclose(pair.soft(v), table(0, v), atol=1e-9)
+            np.testing.assert_allclose(pair.hard(v), table(1, v), atol=1e-9)
+    (tmp_path / "firm.csv").write_text("velocity, force\n-1, -1\n1, 1\n")
+    with pytest.raises(InputError, match=r"\[actuators.front\] c_max: .*column 1, 'velocity', has no unit"):
+        read_vehicle(tmp_path / "car.toml")
+
+
+def test_passive_is_expected_with_its_curves():
+    """Over a random road what is expected of the nominal setting is the line that does on average as its curve does."""
+    from models.roads.iso8608 import Iso8608
+
+    vehicle = parse_vehicle(QUARTER + PAIR)
+    road = Iso8608("C", 0, 15.0).spectrum
+    controller = Designer(vehicle).design("passive")
+    found = expect(vehicle, controller, road, 1e-3, 10.0)
+    assert found is not None
+    assert found.line.vehicle.parameters["suspension_damping"] < 950.0  # the curves bend down

@@ -1,0 +1,228 @@
+"""A custom vehicle type: its three files work next to one another, and every mistake in one of them is one line."""
+
+import copy
+import json
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from models.common.errors import InputError
+from models.kinds.user_kind import check_equations, check_parts
+from models.vehicle.vehicle import kinds, read_vehicle
+from sim.bump import main
+from tests.support.commands import environment
+from tests.support.pages import hopper
+
+BUILD = "def linear_model(p):"
+SENSOR = '<jointvel name="sprung_velocity" joint="sprung" user="1"/>'
+ROAD = '<body name="road" mocap="true">'
+OTHER = "from models import BodyLoad, Invariant, Suspension\nK = dict(KIND.__dict__)\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The folder of the hopper of the page about custom vehicle types."""
+    return hopper(tmp_path).parent
+
+
+def refusal(folder: Path) -> str:
+    """Returns the error of a command about the vehicle."""
+    with pytest.raises(InputError) as caught:
+        main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"])
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+    return str(caught.value)
+
+
+def replace(path: Path, *changes: tuple[str, str]) -> None:
+    """Replaces texts in a file."""
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text)
+
+
+def test_it_works(folder):
+    """The three files of the page run as they are."""
+    assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
+
+
+def test_it_goes_to_other_processes(folder):
+    """Pickle writes it with its functions, also into a process that knows no such file; a deep copy is the same kind."""
+    vehicle = read_vehicle(folder / "hopper.toml")
+    (folder / "hopper.pickle").write_bytes(pickle.dumps(vehicle))
+    assert copy.deepcopy(vehicle).kind is vehicle.kind
+    (folder / "hopper.py").unlink()
+    code = "import pickle; print(pickle.load(open('hopper.pickle', 'rb')).kind.model({'mass': 2.0, 'stiffness': 8.0}).A.tolist())"
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment(), capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[[0.0, 1.0], [-4.0, 0.0]]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("import numpy as np", "1 / 0", r"the file fails \(ZeroDivisionError: division by zero, line 1\)"),
+        ("import numpy as np", "import nothing_of_that_name", r"fails \(ModuleNotFoundError: .*nothing_of_that_name.*line 1\)"),
+        ("import numpy as np", "raise SystemExit(3)", r"fails \(SystemExit: 3, line 1\)"),
+        ("import numpy as np", "raise ValueError('two\\nlines')", r"ValueError: two lines"),
+        (BUILD, "def linear_model(p:", r"\(.*line AT\)"),
+        ("KIND = VehicleKind(", "OTHER = VehicleKind(", r"it has no KIND; end it with KIND = VehicleKind"),
+        ("KIND = VehicleKind(", "KIND = dict(", r"its KIND is a dict"),
+        ('name="hopper"', 'name="jumper"', r"its KIND is called 'jumper'; call it 'hopper'"),
+        (BUILD, f"{BUILD}\n    p['weight']", r"linear_model fails \(KeyError: 'weight', line BELOW\)"),
+        (BUILD, f"{BUILD}\n    return None", r"linear_model\(parameters\) = None is not allowed; give a LinearModel"),
+        ("np.array([[-1], [0]])", "np.array([[-1]])", r"linear_model fails \(Bw has shape \(1, 1\)"),
+        ("return LinearModel(A", "return LinearModel(A * np.inf", r"linear_model fails \(A\[0, 0\] = .* is not finite"),
+        ("(signals.ROAD_VELOCITY.name,)", "('w',)", r"the disturbances w; give those of the kind, in its order: road_velocity"),
+        (
+            "return LinearModel(A, B, Bw, C, D, STATES",
+            "return LinearModel(A, B, Bw, C, D, STATES[::-1]",
+            r"not the state or input",
+        ),
+        (
+            "signals.CONTROL_FORCE.name)",
+            "'force')",
+            r"gives no output 'control_force', a signal of the kind; add it",
+        ),
+        ("        signals.CONTROL_FORCE,\n", "", r"an output 'control_force', which is not a signal of the kind"),
+        ('return {"tyre', 'return 0, {"tyre', r"static_tyre_deflection\(parameters\) = .*give a mapping from a text to a number"),
+        ('return {"tyre_deflection"', 'return {"tyre"', r"gives tyre; give one number for each of tyre_deflection"),
+        ('return {"tyre_deflection": p', 'return {"tyre_deflection": -p', r"= -0\.01308 is not allowed; give a number above 0"),
+        ('spec.body("sprung")', 'spec.body("nobody")', r"write_mjcf fails \(AttributeError: .*line \d+\)"),
+        ('mass = p["mass"]', 'mass = float("nan")', r"MuJoCo does not take what write_mjcf makes of the MJCF"),
+    ],
+)
+def test_equations_that_do_not_work(folder, old, new, said):
+    """Python that fails or gives wrong results is one line with the file and the reason, and where it fails with its line."""
+    path = folder / "hopper.py"
+    source = path.read_text()
+    replace(path, (old, new))
+    found = refusal(folder)
+    at = source[: source.index(BUILD)].count("\n") + 1
+    assert re.search(said.replace("AT", str(at)).replace("BELOW", str(at + 1)), found), found
+    assert str(path) in found
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "said"),
+    [
+        ("parameters", "K['parameters'] * 2", "parameter: 'mass' is there twice"),
+        ("parameters", "(Parameter('a mass', 'kg', 'x'),)", "parameter: 'a mass' is not allowed; give letters"),
+        ("parameters", "(Parameter('mass', 1, 'x'),)", "unit = 1 is not allowed; give a text"),
+        ("signals", "(*K['signals'], signals.Signal('controller_1', 'x', 'm', 'x'))", "begins with controller_"),
+        ("signals", "()", "signals = .* is not allowed; give a list, each item a signal"),
+        ("on_demand", "(K['signals'][-1],)", "signal: 'control_force' is there twice"),
+        ("wheels", "K['wheels'] * 2", "road_body of a wheel: 'road' is there twice"),
+        (
+            "wheels",
+            "(Wheel('road', 'x', 'road_velocity', 'tyre_deflection'),)",
+            "a wheel's road_displacement is 'x'",
+        ),
+        ("wheels", "(Wheel(**K['wheels'][0].__dict__ | {'behind': lambda p: -1}),)", "behind of a wheel = -1 is not allowed"),
+        (
+            "wheels",
+            "(Wheel(**K['wheels'][0].__dict__ | {'behind': lambda p: p['l']}),)",
+            r"behind of .* fails \(Key",
+        ),
+        ("combined", "{'x': {'tyre_deflection': 1.0}}", "combined is 'x', which is unknown; give one of control_force, "),
+        ("suspended", "(Suspension('x', 'tyre'),)", "a suspension's deflection is 'x'"),
+        ("suspended", "(Suspension('tyre_deflection', 'tyre', 'x'),)", "no input 'x', the force of a suspension"),
+        ("suspended", "(Suspension('tyre_deflection', 'tyre', damping='x'),)", "damping is 'x', .* give one of mass, stiffness"),
+        ("invariants", "(Invariant('z', ('x',), len, len),)", "a signal of the invariant 'z' is 'x'"),
+        ("loads", "(BodyLoad('push', 'mass'),)", "a load is 'push', which is unknown; give one of heave_load, pitch_load"),
+        ("loads", "(BodyLoad('heave_load', 'mass'),)", "the loads none; give those of the kind, in its order: heave_load"),
+        ("angles", "lambda p: {'pitch': {}}", "angles gives 'pitch' of none; give {'pitch_angle': {signal: factor}}"),
+        ("linear_model", "None", "linear_model = None is not allowed; give a function"),
+        ("check_together", "lambda p: p['x']", r"check_together fails \(KeyError: 'x'"),
+    ],
+)
+def test_parts_that_do_not_fit(folder, part, value, said):
+    """A part that is of another type, or refers to a name that the kind does not have, is one line with the file."""
+    path = folder / "hopper.py"
+    path.write_text(f"{path.read_text()}\n{OTHER}KIND = VehicleKind(**K | dict({part}={value}))\n")
+    found = refusal(folder)
+    assert re.search(said, found), found
+    assert str(path) in found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("</mujoco>", "", r"MuJoCo does not take it \(.*XML"),
+        ('site="sprung"', 'site="nowhere"', r"MuJoCo does not take it \(.*nowhere"),
+        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations name"),
+        (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is no direction"),
+        (ROAD, '<body name="road">', r"has no mocap body 'road'"),
+        ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuator\(s\), and the equations 1"),
+        ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"actuator 'fitted_1'; call it otherwise"),
+        ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
+        ('pos="0 0 .3"', 'pos="0 0 .25"', r"give a hub that is at least so high above its road"),
+    ],
+)
+def test_a_model_that_does_not_work(folder, old, new, said):
+    """An MJCF that MuJoCo refuses, or that lacks a name of the equations, is one line with the file and the reason."""
+    path = folder / "hopper.xml"
+    replace(path, (old, new))
+    found = refusal(folder)
+    assert re.search(said, found), found
+    assert str(path) in found
+
+
+def test_actuators_have_their_inputs_names(folder):
+    """A motor of another name than the input's would be some other force: it is refused, also where its sensor names it."""
+    names = 'name="control_force" joint', 'actuator="control_force"'
+    replace(folder / "hopper.xml", *((name, name.replace("control_force", "brake")) for name in names))
+    said = "its actuators are 'brake', and the inputs of the equations 'control_force'; name them alike, in the same order"
+    assert refusal(folder).endswith(said)
+
+
+def test_own_refusal(folder):
+    """The message of a kind's `check_together` is printed as it is, without a line of Python."""
+    refuses = "def check_together(p):\n    raise InputError(f\"mass = {p['mass']:g} kg is too much\")\n\n\nKIND ="
+    replace(
+        folder / "hopper.py",
+        ("import numpy as np", "from models import InputError"),
+        ("KIND =", refuses),
+        ("write_mjcf=write_mjcf,", "write_mjcf=write_mjcf, check_together=check_together,"),
+    )
+    assert refusal(folder) == f"vehicle file {folder / 'hopper.toml'}: mass = 200 kg is too much"
+
+
+def test_a_late_mistake(folder):
+    """Equations that fail or are wrong for other parameters alone are one line when these parameters come."""
+    replace(folder / "hopper.py", (BUILD, f"{BUILD}\n    if p['mass'] > 300: return 1 / 0\n    if p['mass'] > 250: return 0"))
+    vehicle = read_vehicle(folder / "hopper.toml")
+    for mass, said in ((260.0, r"hopper.py: linear_model\(parameters\) = 0"), (310.0, r"linear_model fails \(ZeroDivisionError")):
+        with pytest.raises(InputError, match=said):
+            vehicle.with_parameters(mass=mass)
+
+
+def test_what_it_prints_is_no_output(folder, capsys):
+    """Prints of a kind, when it is read and when it is called, go to stderr: `--json` stays one JSON object."""
+    replace(folder / "hopper.py", ("import numpy", "print('read')\nimport numpy"), (BUILD, f"{BUILD}\n    print('called')"))
+    vehicle = str(folder / "hopper.toml")
+    assert main(["--vehicle", vehicle, "--controller", "passive", "--duration", "1", "--no-logs", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["runs"]
+    assert {"read", "called"} <= set(printed.err.splitlines())
+
+
+def test_parameters_stay(folder):
+    """A function of the user's that changes its parameters changes a copy."""
+    replace(folder / "hopper.py", (BUILD, f"{BUILD}\n    p['old'], p['mass'] = p.pop('mass'), 200.0"))
+    vehicle = read_vehicle(folder / "hopper.toml")
+    vehicle.kind.linear_model(vehicle.parameters)
+    assert list(vehicle.parameters) == ["mass", "stiffness"]
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_built_in_kinds_are_sound(name):
+    """The built-in kinds pass the checks of custom ones."""
+    vehicle = read_vehicle(name)
+    check_parts(vehicle.kind)
+    check_equations(vehicle.kind, vehicle.parameters)

@@ -1,0 +1,613 @@
+"""Roads: the spectrum, coherence and repeatability of ISO 8608's, exact derivatives of all, measured profiles, and bad input."""
+
+import itertools
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy import signal, special
+
+from models.common.errors import InputError
+from models.roads import opencrg, profile_file
+from models.roads.choice import choose_road
+from models.roads.description import described_road
+from models.roads.iso8608 import CLASSES, Iso8608, long_enough, roughness
+from models.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
+from models.roads.profile import Profile
+from models.roads.profile_file import read_profile
+from models.roads.road import Bump, ScaledRoad, track_width, under_wheels
+from models.roads.sinusoids import SineSweep, random_road, sinusoid
+from models.roads.spectrum import coherency
+from models.vehicle.vehicle import read_vehicle
+from tests.support.commands import refused
+
+SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
+SEEDS = 200
+SAMPLES = 20_000  # 800 m
+
+X = np.linspace(0, 30, 301)
+ROADS = [
+    Iso8608("C", 3, 20.0, 1.5),
+    *(obstacle() for name, obstacle in OBSTACLES.items() if name != "flat"),
+    Profile(X, 0.01 * np.stack([np.sin(X), np.cos(2 * X)], axis=-1), 10.0),
+    Iso8608("A", 1, 15.0).scaled(0.3),
+    WattsHump().scaled(0.01),
+]
+
+
+def densities(roads, side=""):
+    """Spatial frequencies [cycle/m], and the one-sided spectral densities of roads [m3] by Welch's method, shape (roads, F)."""
+    t = 1.0 + np.arange(SAMPLES) * STEP / SPEED
+    heights = np.array([road.displacement(t, side) for road in roads])
+    n, found = signal.welch(heights, 1 / STEP, nperseg=5000, detrend="constant")
+    return n, found
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    """Densities of 200 roads of class C."""
+    return densities([Iso8608("C", seed, SPEED) for seed in range(SEEDS)])
+
+
+def at_n0(spectrum):
+    """G_d(n0) of every road: over an octave around it, as if along the slope of -2; mean, and its standard error."""
+    n, found = spectrum
+    near = (n > 0.1 / np.sqrt(2)) & (n < 0.1 * np.sqrt(2))
+    each = np.mean(found[:, near] * (n[near] / 0.1) ** 2, axis=1)
+    return each.mean(), each.std(ddof=1) / np.sqrt(len(each))
+
+
+def test_roughness_is_the_standards(spectrum):
+    """Over 200 seeds G_d(n0) is the class's geometric mean within its confidence interval, and no mistake usual elsewhere is."""
+    mean, error = at_n0(spectrum)
+    expected = 16e-6 * 4**2  # class C
+    assert abs(mean - expected) < 2.6 * error  # 99 %
+    assert error < 0.01 * expected  # so the interval is narrow
+    for mistake in (2, 0.5, np.pi, 1 / np.pi, 2 * np.pi):  # class limits for means; angular for cyclic frequency
+        n, found = spectrum
+        wrong, its_error = at_n0((n, mistake * found))
+        assert abs(wrong - expected) > 10 * its_error
+
+
+@pytest.mark.parametrize("road_class", CLASSES)
+def test_classes(road_class):
+    """Each class is four times as rough as the one before, A has 16e-6 m3; a road of it has exactly that many times the power."""
+    i = CLASSES.index(road_class)
+    assert roughness(road_class) == 16e-6 * 4**i
+    t = np.linspace(0, 5, 50)
+    assert np.allclose(Iso8608(road_class, 5).displacement(t), 2**i * Iso8608("A", 5).displacement(t), rtol=1e-12, atol=1e-18)
+
+
+def test_slope(spectrum):
+    """The spectrum falls with n^-2 within 0.02 over two decades."""
+    n, found = spectrum
+    band = (n > 0.05) & (n < 5)
+    slope = np.polyfit(np.log(n[band]), np.log(found[:, band].mean(axis=0)), 1, w=1 / np.sqrt(n[band]))[0]  # even in log n
+    assert slope == pytest.approx(-2, abs=0.02)
+
+
+def test_band(spectrum):
+    """Above 10 cycles/m there is nothing, and below 0.01 there are no hills: a kilometre stays within what the band holds."""
+    n, found = spectrum
+    assert found[:, n > 11].max() < 1e-6 * found[:, n < 10].min()  # the window's side lobes
+    heights = np.array([Iso8608("C", seed).displacement(np.linspace(0.1, 51, 500)) for seed in range(50)])
+    within = np.sqrt(256e-6 * 0.1**2 * (1 / 0.01 - 1 / 10))  # rms of the band; starts are as far off again
+    assert np.sqrt(np.mean(heights**2)) == pytest.approx(np.sqrt(2) * within, rel=0.1)
+
+
+def repetition(road, distance):
+    """Largest autocorrelation of a road's velocity at lags beyond 5 m."""
+    w = road.velocity(np.arange(round(distance / STEP)) * STEP / road.speed + 0.1)
+    w = w - w.mean()
+    full = signal.correlate(w, w, method="fft")[len(w) - 1 :]
+    overlap = np.arange(len(w), 0, -1)
+    lags = slice(round(5 / STEP), round(0.9 * len(w)))
+    return np.abs(full / overlap)[lags].max() / np.mean(w**2)
+
+
+def test_nothing_repeats():
+    """Within a run no stretch of road looks like another; a generator that does repeat is caught by the same measure."""
+    assert (
+        max(repetition(Iso8608("C", seed), 400) for seed in range(5)) < 0.4
+    )  # the last lags have 40 m, 200 waves: 5 / sqrt(200)
+    assert repetition(Iso8608("C", 0, length=100.0), 400) > 0.99
+    assert long_enough(200) == 1024
+    assert long_enough(1025) == 2048
+
+
+def test_same_seed_same_road():
+    """A seed is the same road everywhere, these heights; another is another one, and neither thread nor order matters."""
+    t = np.array([0.1, 1.0, 9.5])
+    pinned = [0.01486317156454372, -0.01737598514806169, 0.002038889551100681]
+    assert np.allclose(Iso8608("C", 7, 20.0).displacement(t), pinned, rtol=1e-9, atol=0)  # rounding of 10 230 sines
+    assert not np.allclose(Iso8608("C", 8, 20.0).displacement(t), pinned, rtol=0.1)
+    assert np.array_equal(np.random.Philox(7).random_raw(2), [8648156199155761070, 7861003179181181637])
+
+
+def test_even_times_are_no_other_road():
+    """Heights and velocities at evenly spaced times, by chirp z-transform, are those of the plain sum, under every wheel."""
+    road, t = Iso8608("D", 2, 17.3, 1.51), np.arange(5000) * 1e-3 - 0.16
+    some = np.arange(0, 5000, 97)
+    for function in (road.displacement, road.velocity):
+        for side in ("left", "right"):
+            even, plain = function(t, side)[some], function(np.append(t[some], 9.0), side)[:-1]
+            assert np.abs(even - plain).max() < 1e-11 * np.abs(plain).max()  # rounding of the phases of 10 230 lines
+
+
+@pytest.mark.parametrize("phase", [-90.0, 0.0, 33.0, 180.0])
+def test_a_sine_begins_at_its_phase(phase):
+    """A sine begins at its start with the slope of its phase, from a flat road, and is a sine of that phase from then on."""
+    road = choose_road(f"sine:amplitude=0.03:frequency=2:phase={phase}:start=0.4").build(
+        read_vehicle("quarter_car"), 10.0, 0, 1.0
+    )
+    t = np.array([0.0, 0.39, 0.4, 0.5, 1.7])
+    angle = 4 * np.pi * (t - 0.4) + np.radians(phase)
+    heights = np.where(t < 0.4, 0.0, 0.03 * (np.sin(angle) - np.sin(np.radians(phase))))
+    np.testing.assert_allclose(road.displacement(t), heights, atol=1e-16)
+    np.testing.assert_allclose(road.velocity(t), np.where(t < 0.4, 0.0, 0.12 * np.pi * np.cos(angle)), atol=1e-15)
+    assert described_road(json.loads(json.dumps(road.describe()))) == road
+
+
+def test_a_vertical_step():
+    """A step of no edge jumps at its start, is 0 there and left of it, and is said in logs; a step of old logs begins at once."""
+    road = choose_road("step:height=0.02:edge=0:start=0.3").build(read_vehicle("quarter_car"), 10.0, 0, 1.0)
+    assert isinstance(road, Step)
+    assert road.displacement(np.array([0.0, 0.3, 0.3 + 1e-6, 9.0])).tolist() == [0.0, 0.0, 0.02, 0.02]
+    assert road.jumps == ((0.3, 0.02),)
+    assert road.scaled(2.0).jumps == ScaledRoad(road, 2.0).jumps == ((0.3, 0.04),)
+    assert described_road(json.loads(json.dumps(road.describe()))) == road
+    assert described_road({"type": "step", "height": 0.02, "edge": 0.1, "speed": 5.0}) == Step(0.02, 0.1, 5.0)
+    with pytest.raises(InputError, match="step edge = 1e-05 is not allowed"):
+        Step(edge=1e-5)
+
+
+@pytest.mark.parametrize("road", ROADS, ids=lambda road: road.describe()["type"])
+@pytest.mark.parametrize("side", ["", "right"])
+def test_velocity_is_the_derivative(road, side):
+    """The integral of the velocity between any two times, with no kink between, is the difference of the heights, to rounding."""
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    edges = np.unique([-0.5, *road.kinks, *(0.37 * np.arange(1, 8))])
+    tested, size = 0, np.abs(road.displacement(np.linspace(0, 3, 300), side)).max()
+    for a, b in itertools.pairwise(edges):
+        # Narrow enough for the quadrature: 10 ms are two waves of the shortest, and less than a piece of the spline.
+        for start in np.linspace(a, max(a, b - 0.01), 3):
+            end = min(start + 0.01, b)
+            half = (end - start) / 2
+            inside = np.array([start, end])
+            inside[0], inside[1] = start + 1e-15, end - 1e-15
+            change = np.diff(road.displacement(inside, side))[0]
+            integral = half * weights @ road.velocity(start + half * (nodes + 1), side)
+            assert abs(change - integral) < 1e-12 * size
+            tested += change != 0
+    assert tested > 2
+
+
+def test_two_tracks_cohere_as_isotropy_says():
+    """Left and right have the same spectrum, and the real coherency x K_1(x), x = 2 pi n b, of an isotropic surface."""
+    width = 1.5
+    roads = [Iso8608("C", seed, SPEED, width) for seed in range(60)]
+    t = 1.0 + np.arange(SAMPLES) * STEP / SPEED
+    left, right = (np.array([road.velocity(t, side) for road in roads]) for side in ("left", "right"))
+    n, cross = signal.csd(left, right, 1 / STEP, nperseg=2048)
+    (_, a), (_, b) = (signal.welch(one, 1 / STEP, nperseg=2048) for one in (left, right))
+    found = cross.mean(axis=0) / np.sqrt(a.mean(axis=0) * b.mean(axis=0))
+    band = (n > 0.03) & (n < 5)
+    error = 1 / np.sqrt(60 * SAMPLES / 2048)  # of an estimated coherency
+    assert np.abs(found[band] - coherency(n[band], width)).max() < 5 * error
+    assert b[:, band].mean() == pytest.approx(a[:, band].mean(), rel=0.03)
+
+
+def test_coherency_is_the_surfaces():
+    """x K_1(x) is the integral over all transverse waves of the surface spectrum (n^2 + m^2)^(-3/2): by plain quadrature."""
+    m = np.linspace(-400, 400, 800_001)
+    for n, width in ((0.1, 1.5), (0.5, 1.0), (1.0, 0.3)):
+        surface = (n**2 + m**2) ** -1.5
+        ratio = np.sum(surface * np.cos(2 * np.pi * m * width)) / np.sum(surface)
+        assert coherency(np.array([n]), width)[0] == pytest.approx(ratio, abs=1e-4)  # the ends of the quadrature
+    assert special.k1(1.0) == pytest.approx(coherency(np.array([1.0]), 1 / (2 * np.pi))[0])
+    assert coherency(np.array([1.0]), 0.0)[0] == 1.0
+
+
+def test_wheels_of_a_full_car():
+    """The full car's rear wheels meet what the front ones did, a wheelbase later, each on its own of two tracks a track apart."""
+    vehicle = read_vehicle("full_car")
+    assert track_width(vehicle) == vehicle.parameters["track"]
+    assert track_width(read_vehicle("half_car")) == 0
+    road = Iso8608("C", 1, 20.0, track_width(vehicle))
+    later = (vehicle.parameters["axle_distance_front"] + vehicle.parameters["axle_distance_rear"]) / 20.0
+    t = np.linspace(0.2, 3, 57)
+    now, before = (under_wheels(road.displacement, road, vehicle, time) for time in (t, t - later))
+    assert np.allclose(now[:, 2:], before[:, :2], rtol=1e-10, atol=1e-15)
+    assert np.abs(now[:, 0] - now[:, 1]).max() > 1e-3
+
+
+def test_shapes():
+    """Obstacles are as high as they say where they say, and flat elsewhere."""
+    flat = choose_road("flat").build(read_vehicle("quarter_car"), 20.0, 0, 40.0)
+    assert not flat.displacement(np.linspace(-1, 5, 100)).any()
+    assert described_road(flat.describe()) == flat == flat.scaled(0.1)
+    hump = WattsHump(height=0.075, length=3.7, speed=10.0)
+    assert hump.displacement(np.array([-0.1, 0.0, 0.185, 0.37, 1.0])) == pytest.approx([0, 0, 0.075, 0, 0], abs=1e-12)
+    quarter = hump.displacement(np.array([0.0925]))[0] + hump.radius - 0.075
+    assert np.hypot(quarter, 3.7 / 4) == pytest.approx(hump.radius)  # on the circle
+    assert Step(0.1, 0.2, 10.0).displacement(np.array([-1, 0.01, 0.02, 5])) == pytest.approx([0, 0.05, 0.1, 0.1])
+    hole = Pothole(0.06, 2.0, 0.2, 10.0, track="left")
+    assert hole.displacement(np.array([0.1, 0.3]), "left") == pytest.approx([-0.06, 0])
+    assert not hole.displacement(np.linspace(0, 1, 50), "right").any()
+    sweep = SineSweep(0.02, 1.0, 16.0, 8.0)
+    crossings = np.diff(np.signbit(sweep.displacement(np.linspace(7.5, 8.0, 5001)))).astype(int).sum()
+    assert crossings in (14, 15)  # 14.7 Hz there on average, for half a second, twice a period
+
+
+def test_profile_from_a_file(tmp_path):
+    """A file's heights are met at its distances, left and right, with or without headings, from the first heights' mean on."""
+    path = tmp_path / "road.csv"
+    path.write_text("distance,left,right\n5,0.10,0.20\n5.5,0.12,0.2\n6,0.11,0.25\n6.4,0.1,0.2\n")
+    road = read_profile(path, 2.0)
+    t = np.array([0.0, 0.25, 0.5, 0.7, 9.0])
+    assert road.displacement(t, "left") == pytest.approx([-0.05, -0.03, -0.04, -0.05, -0.05], abs=1e-15)
+    assert road.displacement(t, "right") == pytest.approx([0.05, 0.05, 0.1, 0.05, 0.05], abs=1e-15)
+    path.write_text("0,0\n1,.1\n2,.2\n3,.1\n")
+    assert read_profile(path, 1.0).displacement(np.array([2.0]), "right") == pytest.approx([0.2])
+
+
+@pytest.mark.extra
+def test_opencrg(tmp_path):
+    """An OpenCRG surface is met where the wheels run, left and right; one that is too narrow, or none, is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    u, v = np.arange(0, 5, 0.1), np.arange(-1, 1.01, 0.25)
+    heights = 0.02 * np.sin(u)[:, None] + 0.01 * v * np.cos(u)[:, None]
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=v).save(tmp_path / "road.crg", fmt="KDBI")
+    choice = choose_road("road.crg", tmp_path)
+    car, quarter = read_vehicle("full_car"), read_vehicle("quarter_car")
+    t = np.array([0.5, 1.7])
+    for side, v0 in (("left", 1.51 / 2), ("right", -1.51 / 2)):
+        expected = 0.02 * np.sin(t * 2) + 0.01 * v0 * np.cos(t * 2)
+        assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
+    assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
+    pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
+    with pytest.raises(InputError, match="too narrow"):
+        choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
+    (tmp_path / "none.crg").write_text("distance,height")
+    with pytest.raises(InputError, match="not an OpenCRG file"):
+        choose_road("none.crg", tmp_path)
+
+
+BAD_SURFACES = [  # (pattern in the file, its replacement, part of the message)
+    ("reference_line_increment .*", "reference_line_increment = 1e400", "(cannot convert float infinity"),
+    ("D:long section 3,m", "D:long section x,m", "(could not convert string to float: 'x'); give"),
+    (r" \.010000000000000000", " hello world 1234567", "(1 unreadable value(s) in the data (read as NaN)); give"),
+    (r"\$KD_DEF", "$ROAD_CRG_FILE\nnone.crg\n$\n$KD_DEF", "(the data file referenced in the $ROAD_CRG_FILE block"),
+]
+
+
+@pytest.mark.extra
+@pytest.mark.parametrize("form", ["LDFI", "KRBI"])
+def test_cut_opencrg(tmp_path, form):
+    """A surface that was cut between two cross-sections, where the reader warns only, or anywhere else is refused."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    path, heights = tmp_path / "road.crg", np.random.default_rng(1).normal(0, 0.01, (50, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(path, fmt=form)
+    content = path.read_bytes()
+    data = content.index(b"\n", content.index(b"$$$$$$$$$$")) + 1
+    for cut in (data, data + 80, data + 160, (data + len(content)) // 2, len(content) - 7):
+        path.write_bytes(content[:cut])
+        with refused(f"road file {path}: "):
+            choose_road("road.crg", tmp_path)
+
+
+@pytest.mark.extra
+@pytest.mark.parametrize(("old", "new", "said"), BAD_SURFACES, ids=[row[2][:40] for row in BAD_SURFACES])
+def test_bad_opencrg(tmp_path, old, new, said):
+    """A damaged OpenCRG file is refused in one line with the words of PyOpenCRG."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    heights = 0.01 * np.arange(-1, 1.01, 0.25) + np.sin(np.arange(50))[:, None] / 50
+    path = tmp_path / "road.crg"
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.arange(-1, 1.01, 0.25)).save(path, fmt="LDFI")
+    content = path.read_text()
+    changed = re.sub(old, new.replace("\\", r"\\"), content, count=1)
+    assert changed != content, "the test changes what is there"
+    choose_road("road.crg", tmp_path)
+    path.write_text(changed)
+    with pytest.raises(InputError) as error:
+        choose_road("road.crg", tmp_path)
+    assert str(error.value).startswith(f"road file {path}: not an OpenCRG file {said}")
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.extra
+def test_opencrg_in_two_files(tmp_path):
+    """An OpenCRG file may name the file with its data."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    road = pyopencrg.CrgRoad(np.random.default_rng(0).normal(0, 0.01, (57, 5)), u_inc=0.1, v=np.linspace(-1, 1, 5))
+    road.save(tmp_path / "data.crg", fmt="KDBI")
+    (tmp_path / "road.crg").write_text("$CT\n$ROAD_CRG_FILE\ndata.crg\n$\n")
+    whole, named = (opencrg.read_surface(tmp_path / name) for name in ("data.crg", "road.crg"))
+    np.testing.assert_array_equal(named.z, whole.z)
+
+
+@pytest.mark.extra
+def test_opencrg_in_parts(tmp_path, monkeypatch):
+    """Worked out in parts, to bound the memory, a surface is the same."""
+    pyopencrg = pytest.importorskip("pyopencrg")
+    heights = np.random.default_rng(0).normal(0, 0.01, (57, 5))
+    pyopencrg.CrgRoad(heights, u_inc=0.1, v=np.linspace(-1, 1, 5)).save(tmp_path / "road.crg", fmt="KDBI")
+    whole = opencrg.read_surface(tmp_path / "road.crg")
+    for at_once in (1, 50, 284):
+        monkeypatch.setattr(opencrg, "AT_ONCE", at_once)
+        # where along u a height lies may differ by the last bit of 5.6 m, 9e-16 m, times a slope of about 0.5
+        assert opencrg.read_surface(tmp_path / "road.crg").z == pytest.approx(whole.z, rel=0, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("content", "settings"),
+    [
+        ("0\t0\n0,5\t0,02\n1\t-0,01\n1,5\t0\n", ":separator=tab"),
+        ("  0 0\n  0.5   0.02\n1 -0.01\n1.5 0\n", ""),
+        ("surveyed by hand\nA 8\ndistance, height\n# in metres\n0,0\n0.5,0.02\n\n1,-0.01\n1.5,0\n", ""),
+        ("0,0\n0.5,20\n1,-10\n1.5,0\n", ":height_unit=mm"),
+        ("0;0\n0.0005;2\n0.001;-1\n0.0015;0\n", ":distance_unit=km:height_unit=cm"),
+        ("0,431\n0.5,431.02\n1,430.99\n1.5,431\n", ""),
+        ("7,0,9,0\n7,.5,9,.02\n7,1,9,-.01\n7,1.5,9,0\n", ":columns=2,4"),
+        ("0,0,9,0,\n.5,.02,9,.02,\n1,-.01,9,-.01,\n1.5,0,9,0,\n", ":columns=1,2,4"),
+    ],
+)
+def test_a_file_as_people_have_them(tmp_path, content, settings):
+    """Separators, decimal commas, headings, units, columns and heights above the sea: all the same road."""
+    (tmp_path / "road.csv").write_bytes(content.encode())
+    plain = Profile(np.array([0, 0.5, 1, 1.5]), np.array([0, 0.02, -0.01, 0])[:, None] * np.ones(2), 20.0)
+    found = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert found is not None
+    t = np.linspace(0, 0.1, 50)
+    for side in ("left", "right"):
+        assert found.displacement(t, side) == pytest.approx(plain.displacement(t, side), abs=1e-12)
+
+
+HEADED = [  # (what stands above, how the numbers are read without it: columns and metres of distance, left, right; options)
+    ("distance,right,left", (0, 2, 1), (1, 1, 1), ""),
+    ("right,left,distance", (2, 1, 0), (1, 1, 1), ""),
+    ("Distance [ft],Right wheel path [cm],Left wheel path [in]", (0, 2, 1), (0.3048, 0.0254, 0.01), ""),
+    ("station_ft,l_in,r_in", (0, 1, 2), (0.3048, 0.0254, 0.0254), ""),
+    ('"chainage / km","left height / mm","right height / mm"', (0, 1, 2), (1e3, 1e-3, 1e-3), ""),
+    ("# distance [m], right [mm], left [mm]", (0, 2, 1), (1, 1e-3, 1e-3), ""),
+    ("distance [feet],elevation [inches],t", (0, 1, 1), (0.3048, 0.0254, 0.0254), ""),
+    ("time,distance,height", (1, 2, 2), (1, 1, 1), ""),
+    ("distance [m],left [mm],right [mm]", (0, 2, 2), (1, 1e-3, 1e-3), ":columns=1,3"),
+    ("distance,left [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ":height_unit=mm"),
+    ("distance [furlong],height [yd],t", (0, 1, 1), (0.3048, 0.01, 0.01), ":distance_unit=ft:height_unit=cm"),
+    ("a,b,c", (0, 1, 2), (1, 1, 1), ":columns=1,2,3"),
+    ("# the left lane, in m, by hand", (0, 1, 2), (1, 1, 1), ""),
+    ("# in,cm,mm", (0, 1, 2), (1, 1, 1), ""),
+]
+
+
+@pytest.mark.parametrize(
+    ("above", "columns", "metres", "settings", "separator"),
+    [(*row, separator) for row, separator in zip(HEADED, itertools.cycle(",;\t"))],
+)
+def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separator):
+    """Headings say which column is what, in which order, and in which unit, however separated; prose says nothing."""
+    monkeypatch.setattr(profile_file, "WIDEST", np.inf)  # the same numbers in every unit and order are no likely road
+    numbers = np.array([[0, 0.01, 0.02], [0.51, 0.03, 0.52], [1.02, 0.04, 1.01], [1.53, 0.05, 1.49], [2.04, 0.07, 2.0]])
+    rows = [separator.join(map(str, row)) for row in numbers.tolist()]
+    (tmp_path / "road.csv").write_text("\n".join(["Survey of the B 27", above.replace(",", separator), *rows]))
+    profile = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert profile is not None
+    expected = numbers[:, columns] * metres
+    assert profile.distance == pytest.approx(expected[:, 0], rel=1e-15)
+    assert profile.heights == pytest.approx(expected[:, 1:], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("above", "settings", "said"),
+    [
+        ("distance,left,right", ":columns=1,3,2", "'right', and would be read as the height of the left track"),
+        ("a,b,c", "", "column 1 is called 'a', and none of distance, height, left, right; give the columns, as in :col"),
+        ("distance,a,b [mm]", "", "column 2 is called 'a', and none of distance"),
+        ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', are both height; give the columns"),
+        ("x,station,z", "", "columns 1, 'x' and 2, 'station', are both distance"),
+        ("left,right,distance", ":columns=1,2", "column 1 is called 'left', and would be read as distance"),
+        ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),
+        ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', and would be read as height"),
+        ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', is in cm, and distance_unit = m was given"),
+        ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', is in in, and height_unit = mm was given"),
+        ("distance [furlong],left,right", "", "is in 'furlong'; allowed: cm, ft, in, km, m, mm; convert it, or give :dist"),
+        ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
+    ],
+)  # fmt: skip
+def test_headings_that_contradict(tmp_path, above, settings, said):
+    """Headings against the options, against what the order would make of them, or in a unit that is none, are refused."""
+    (tmp_path / "road.csv").write_text(f"{above}\n0,0,0\n1,.01,.01\n2,.02,.01\n3,0,0\n")
+    with refused(said, f"road file {tmp_path / 'road.csv'}: "):
+        choose_road(f"road.csv{settings}", tmp_path)
+
+
+DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "tracks"),
+    [
+        (DECIMALS, "", None),
+        ("0,0,0\n1,12,-3\n2,10,0\n3,0,0\n", ":height_unit=mm:separator=comma", 2),
+        ("0,0,0.01\n1,0,0\n2,0,0\n3,0,0\n", "", 2),
+        ("distance,left,right\n" + DECIMALS.replace("02", "0"), "", 2),
+        (DECIMALS.replace("02", "0"), ":separator=comma", 2),
+        (DECIMALS.replace("02", "0"), ":columns=1,2,3", 2),
+        (DECIMALS.replace(",0,", ";0,"), "", 1),
+    ],
+)
+def test_decimal_commas_between_commas(tmp_path, text, settings, tracks):
+    """0,0,01 is two tracks only where that is said, or where a decimal point shows that commas separate; else it is refused."""
+    (tmp_path / "road.csv").write_text(text)
+    if tracks is None:
+        with pytest.raises(InputError, match="one height with a decimal comma; give :separator=comma for two heights"):
+            choose_road(f"road.csv{settings}", tmp_path)
+        return
+    profile = choose_road(f"road.csv{settings}", tmp_path).profile
+    assert profile is not None
+    assert np.array_equal(*profile.heights.T) == (tracks == 1)
+
+
+def test_what_is_written_is_read(tmp_path):
+    """A profile's own file, with its headings, is the same profile to the last bit."""
+    rng = np.random.default_rng(5)
+    road = Profile(np.cumsum(rng.uniform(0.1, 0.2, 50)), rng.normal(0, 0.01, (50, 2)), 20.0)
+    (tmp_path / "road.csv").write_bytes(road.points)
+    again = choose_road("road.csv", tmp_path).profile
+    assert again is not None
+    assert np.array_equal(again.distance, road.distance)
+    assert np.array_equal(again.heights, road.heights)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
+        ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give two columns"),
+        ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3, column 2: 'inf' is not a finite number"),
+        ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), and line 1 has 2"),
+        ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), and line 1 has 2"),
+        ("0,0\n1,high\n2,0\n", "line 2"),
+        ("0,0\n1,0,3\n2,0\n", "line 2"),
+        ("0\n1\n2\n3\n", "1 column(s)"),
+        ("0,0\n", "a profile needs at least 2 points, and has 1"),
+        ("", "it is empty; give two columns"),
+        ("0,0\n100,20\n200,-10\n300,0\n", "points are 100 m apart, in metres as no unit is given; distances in mm or cm?"),
+        ("0,5,1,2\n", "line 1 has 4 column(s)"),
+    ],
+)
+def test_bad_profiles(tmp_path, text, said):
+    """A file that is no profile is refused in one line that names it, the place and what is allowed."""
+    path = tmp_path / "road.csv"
+    path.write_text(text)
+    with refused(said, str(path)):
+        choose_road(str(path))
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
+def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
+    """A file that is no UTF-8 is refused, with what to do about it."""
+    path = tmp_path / "road.csv"
+    path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
+    with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
+        choose_road(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
+        ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
+        ("gravel", "unknown road 'gravel'; give iso8608, bump"),
+        ("", "unknown road ''; give iso8608, bump"),
+        ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or one with its unit"),
+        ("pothole:edge=3", "pothole edge = 3 is not allowed"),
+        (
+            "pothole:length=0.3",
+            "length = 0.3 m is less than its two edges, each of 0.2 m; give at least 0.4 m, or edge=0.15 or less",
+        ),
+        ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
+        ("bump:track=middle", "track = 'middle'"),
+        ("sweep:highest=0.1", "sweep highest"),
+        ("nowhere.csv", "there is no such file"),
+        ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
+        ("road.csv:columns=1", "as in columns=1,3"),
+        ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
+        ("road.crg:height_unit=mm", "says its own units"),
+        ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
+        ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
+        ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
+    ],
+)
+def test_bad_roads(text, said):
+    """A road that is none is refused in one line."""
+    with refused(said):
+        choose_road(text)
+    with refused("seed = 1.5 is not allowed; give a whole number"):
+        Iso8608("C", 1.5)  # pyright: ignore[reportArgumentType]
+
+
+EVERY = [
+    *ROADS,
+    Bump(0.03, 2.0, 7.0, "left"),
+    Pothole(track="right"),
+    random_road(np.array([1.0, 2.5]), 3, 9.0).scaled(0.1),
+    sinusoid(63.6, 8.0),
+]
+
+
+@pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
+def test_a_road_is_level_after_its_duration(road):
+    """Nothing moves behind a road's own end, or with the plane of the last 11 m of a measured one, and something does before;
+    scaled, it ends then, too, under the same wheels.
+    """
+    sides = [side for side in ("left", "right") if road.track in ("both", side)]
+    if np.isfinite(road.duration):
+        assert road.duration == max(road.kinks)
+        late, before = road.duration + np.linspace(1e-9, 3.0, 1000), road.duration * np.linspace(0.9, 1 - 1e-6, 1000)
+        for side in sides:
+            moving, after = np.abs(road.velocity(before, side)).max(), 0.0
+            if isinstance(road, Profile):
+                ends = np.array(
+                    [np.interp(road.distance[-1] - back, road.distance, z) for z in road.heights.T for back in (0, 11)]
+                )
+                after = road.speed * np.mean(ends[::2] - ends[1::2]) / 11
+            assert np.abs(road.velocity(late, side) - after).max() < 1e-12 * moving  # the sine of pi
+            further = road.displacement(late, side) - road.displacement(late[:1], side)
+            assert further == pytest.approx(after * (late - late[0]), rel=1e-9, abs=1e-12)
+    else:
+        late = 1e3 + np.linspace(0.0, 3.0, 1000)
+        assert all(np.any(road.velocity(late, side) != 0) for side in sides)
+    other = road.scaled(0.5)
+    assert (other.duration, other.track) == (road.duration, road.track)
+
+
+def test_roads_that_cannot_be_driven():
+    """A road that is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is
+    not."""
+    quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
+    for vehicle, road, words in (
+        (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
+        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "lies under the left side, and a quarter_car has only one track"),
+        (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
+    ):
+        with pytest.raises(InputError, match=words):
+            road.check(vehicle, time)
+    for vehicle, road in ((quarter, Bump(length=0.0251)), (full, Pothole(track="left")), (full, Bump(height=1.1e-5))):
+        road.check(vehicle, time)
+        ScaledRoad(road, 0.0).check(vehicle, time)
+
+
+@pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
+def test_description_is_enough(road):
+    """A road comes back from its description as JSON holds it, to the last bit; a profile needs its points as CSV besides."""
+    points = road.points
+    again = described_road(json.loads(json.dumps(road.describe())), points)
+    t = np.linspace(-0.1, 3.0, 1234)
+    for side in ("", "left", "right"):
+        assert np.array_equal(again.displacement(t, side), road.displacement(t, side))
+        assert np.array_equal(again.velocity(t, side), road.velocity(t, side))
+    assert again.speed == road.speed
+    assert again.kinks == road.kinks
+
+
+@pytest.mark.parametrize(
+    ("description", "message"),
+    [
+        ({}, "unknown type"),
+        ({"type": "bump", "height": "a"}, "its height = 'a' is not allowed; give a number"),
+        ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
+        ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
+        ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
+        ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
+        ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list, each item a number"),
+        ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
+    ],
+)
+def test_bad_description(description, message):
+    """A description of no road, or of another one than it says, is refused."""
+    with pytest.raises(InputError, match=message):
+        described_road(description)

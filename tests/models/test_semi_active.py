@@ -1,0 +1,160 @@
+"""The semi-active laws that ship: what each asks for; `test_laws_held.py` has what MuJoCo and the exact response make of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
+from models.roads.road import Road
+from models.vehicle.semi_active_coefficients import numbers_of
+from models.vehicle.vehicle import parse_vehicle
+from sim.runs.report import controller_lines, controller_object
+from sim.runs.run import Run, run_controllers, sample_times
+from tests.models.test_dampers import BUMP, DAMPER, HALF, QUARTER
+from tests.support.analysed import simulate
+
+NAMES = [name for name in LAWS if name != "skyhook_modal"]
+SOFT, HARD, SPRING = 300.0, 4000.0, 13100.0
+EACH = "".join(f'[controllers.{name}]\nsemi_active = "{name}"\n' for name in NAMES)
+CAR = HALF[: HALF.index("[actuators.front]")] + DAMPER
+
+
+def law_of(text: str, name: str) -> tuple[SemiActiveLaw, SemiActive]:
+    """A law of a vehicle file."""
+    law = parse_vehicle(text).controllers[name].semi_active
+    assert law is not None
+    return law, SemiActive(name, law)
+
+
+def runs(text, *names, road: Road = BUMP, duration=1.5, timestep=1e-3) -> list[Run]:
+    """The runs of some laws."""
+    vehicle = parse_vehicle(text)
+    return run_controllers(vehicle, [law_of(text, name)[1] for name in names], road, sample_times(vehicle, duration, timestep))
+
+
+def asked(name: str, z: float, z_s: float, z_u: float, a: float) -> float:
+    """What a law asks for, case by case as its source has it: travel, velocity of body and wheel, acceleration of the body."""
+    v = z_s - z_u
+    if name == "skyhook":
+        return HARD if z_s * v > 0 else SOFT
+    if name == "skyhook_linear":
+        return HARD * z_s / v if z_s * v > 0 else SOFT
+    if name == "groundhook":
+        return HARD if -z_u * v > 0 else SOFT
+    if name == "hybrid":
+        return (0.5 * (HARD * z_s / v if z_s * v > 0 else 0.0)) + 0.5 * (-HARD * z_u / v if -z_u * v > 0 else 0.0)
+    if name == "add":
+        return HARD if a * v > 0 else SOFT
+    if name == "pdd":
+        if SPRING * z * v + SOFT * v * v >= 0:
+            return SOFT
+        return HARD if SPRING * z * v + HARD * v * v < 0 else -SPRING * z / v
+    slow = a * a - 12.0**2 * z_s * z_s <= 0
+    return HARD if (slow and z_s * v > 0) or (not slow and a * v > 0) else SOFT
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_law_asks_for(name):
+    """Each law is its source's, in all signs of what it measures, also of many vehicles at once."""
+    law, _ = law_of(QUARTER + DAMPER + EACH, name)
+    numbers = numbers_of([law], [parse_vehicle(QUARTER + DAMPER)])
+    rng = np.random.default_rng(0)
+    states = rng.normal(size=(200, 4)) * [0.02, 0.5, 0.7, 3.0]
+    signals = ["suspension_deflection", "sprung_velocity", "unsprung_velocity", "sprung_acceleration"]
+    columns = {signal: states[:, i] for i, signal in enumerate(signals)}
+    y = np.stack([columns[signal] for signal in law.measured], axis=-1)
+    found = law.coefficients(y, numbers.subset(np.zeros(200, dtype=int)))[:, 0]
+    expected = np.array([asked(name, *state) for state in states])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert len(set(np.sign(expected - (SOFT + HARD) / 2))) == 2  # hard and soft both
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_run_alone_is_decided_in_plain_numbers(name):
+    """The request of a law for a run alone, in plain numbers, is what it asks for of many in arrays, to the last bit."""
+    vehicle = parse_vehicle(f'{CAR}[controllers.{name}]\nsemi_active = "{name}"\n')
+    law = vehicle.controllers[name].semi_active
+    assert law is not None
+    numbers = numbers_of([law], [vehicle])
+    q = len(law.measured)
+    seen = np.random.default_rng(0).normal(size=(300, q)) * np.random.default_rng(1).choice(
+        [0.0, 1e-160, 0.3, 1.0], size=(300, q)
+    )
+    seen[-1] = np.nan
+    behind = np.concatenate([np.full((300, 1), 7.0), seen[:, ::-1]], axis=1)  # in another order, something else before them
+    alone = law.alone(numbers, range(q, 0, -1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = law.coefficients(seen, numbers.subset(np.zeros(300, dtype=int)))
+    assert np.array_equal([alone(one) for one in behind.tolist()], found, equal_nan=True)
+    assert len(np.unique(found.round(6), axis=0)) > 3
+
+
+def test_keys_change_a_law():
+    """The numbers that a section gives are those that its law has: half the damper to the sky is half the force."""
+    text = QUARTER + DAMPER + '[controllers.soft]\nsemi_active = "skyhook_linear"\nsky_damping = 2000.0\n'
+    law, controller = law_of(text, "soft")
+    (found,) = law.coefficients(np.array([[0.2, 0.1]]), numbers_of([law], [parse_vehicle(text)]))
+    assert found == pytest.approx([4000.0])  # 2000 N s/m * 0.2 m/s over 0.1 m/s
+    assert "sky_damping 2000" in controller_lines(parse_vehicle(text), controller)[1]
+    assert controller_object(controller)["sky_damping"] == 2000.0
+    assert controller_object(controller)["norm"] is None
+
+
+def test_modes_are_corners():
+    """If heave and pitch are damped alike, modal skyhook is that of the corners; one not damped asks for nothing."""
+    by_corners = SemiActiveLaw("skyhook_linear", (), ("_front", "_rear"))
+    modes = ("heave_velocity", "pitch_rate")
+    modal = SemiActiveLaw("skyhook_modal", (), ("_front", "_rear"), modes)
+    only = SemiActiveLaw("skyhook_modal", (("pitch_damping", 0.0),), ("_front", "_rear"), modes)
+    heave, pitch, wheels = 0.3, 0.1, np.array([0.05, -0.2])
+    body = np.array([heave - 1.3 * pitch, heave + 1.5 * pitch])  # nose down
+    corners = by_corners.coefficients(np.array([[*body, *wheels]]), numbers_of([by_corners], [parse_vehicle(CAR)]))
+    found = modal.coefficients(np.array([[heave, pitch, *wheels]]), numbers_of([modal], [parse_vehicle(CAR)]))
+    np.testing.assert_allclose(found, corners, rtol=1e-12)
+    found = only.coefficients(np.array([[heave, pitch, *wheels]]), numbers_of([only], [parse_vehicle(CAR)]))
+    np.testing.assert_allclose(found[0], HARD * heave / (body - wheels), rtol=1e-12)
+
+
+@pytest.mark.attack
+def test_a_law_is_decided_before_a_step_as_by_a_computer():
+    """Set in the loop itself, of a run alone and of many, dampers are what a computer of every timestep makes of them."""
+    text = QUARTER + DAMPER + EACH
+    slow = parse_vehicle(text + "[implementation]\nsample_period = 0.002\n")
+    fast = parse_vehicle(text)
+    for name in NAMES:
+        law = law_of(text, name)[1]
+        time = sample_times(fast, 0.3, 1e-3)
+        alone = simulate([fast], [law], [BUMP], time).response.run(0)
+        three = simulate([fast] * 3, [law] * 3, [BUMP] * 3, time).response.run(1)
+        # Delays of 0 beside one of 5 ms: `Sampler` holds all of them, this one at every timestep.
+        late = replace(fast, implementation=replace(fast.implementation, delay=5.0))
+        other = simulate([fast, late], [law] * 2, [BUMP] * 2, time).response.run(0)
+        for signal in ("damping", "missing_force", "sprung_velocity"):
+            for one in (three, other):
+                assert np.abs(alone[signal] - one[signal]).max() <= 1e-9 * np.abs(alone[signal]).max()
+        held = simulate([slow], [law], [BUMP], time).response.run(0)["damping"]
+        assert np.array_equal(held[:-1:2], held[1::2])
+
+
+def test_laws_side_by_side():
+    """Laws of different kinds run side by side as each does among its own, to the last bit."""
+    vehicle = parse_vehicle(QUARTER + DAMPER + EACH)
+    laws = [law_of(QUARTER + DAMPER + EACH, name)[1] for name in ("skyhook", "pdd", "skyhook_add")]
+    time = sample_times(vehicle, 0.4, 1e-3)
+    together = simulate([vehicle] * 3, laws, [BUMP] * 3, time)
+    for i, law in enumerate(laws):
+        pair = simulate([vehicle] * 2, [law] * 2, [BUMP] * 2, time)
+        difference = np.abs(together.response.values[i] - pair.response.values[0]).max(axis=0)
+        assert np.all(difference <= 1e-9 * np.abs(pair.response.values[0]).max(axis=0))
+
+
+def test_a_law_needs_dampers():
+    """A law that sets dampers is refused where there are actuators that push, and so is a linear claim of it."""
+    with pytest.raises(InputError, match=r"sets adjustable dampers, and control_force is of none; give \[actuators\]"):
+        parse_vehicle(QUARTER + EACH)
+    vehicle = parse_vehicle(QUARTER + DAMPER + EACH)
+    assert set(NAMES).isdisjoint(vehicle.linear_names)
+    with pytest.raises(InputError, match="is a semi-active law, which has no linear loop to analyse"):
+        vehicle.linear_entry("add")

@@ -1,0 +1,236 @@
+"""Bump stops that are progressive, or unlike in bump and rebound: their force, their events, their energy."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import json
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+from models.roads.iso8608 import Iso8608
+from models.roads.road import Bump
+from models.suspension.bump_stops import Stop
+from models.vehicle.limits_and_implementation import Limits, read_limits
+from models.vehicle.mjcf import build_model, mjcf_text
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.inspect.__main__ import main as inspect
+from sim.response.regime import reached
+from sim.runs.report import run_object, verdict, verdict_lines
+from sim.runs.run import run_controllers, sample_times
+from sim.runs.stops import stop_lines
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import measure, metrics_of
+from synth.vehicle.designer import Designer
+from tests.support.analysed import energy, simulate
+from tests.support.commands import prose
+
+BUMP = Bump()
+UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
+STOPS = {"linear": "1e5", "progressive": "[4e4, 2e6, 3e8]", "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }"}
+
+
+PLACES = """
+[limits.rear]
+suspension_stroke = { bump = 0.06, rebound = 0.09 }
+
+[limits.rear_left]
+stop_stiffness = [3e4, 0.0, 1e8]
+"""
+
+
+def built(text, kind="quarter_car"):
+    """A vehicle that ships, with limits."""
+    return parse_vehicle(read_vehicle(kind).text + text)
+
+
+def push_of(stop: Stop, beyond):
+    """Returns what a stop pushes back with where it is squeezed by so much, from its coefficients."""
+    return sum(k * beyond**power for power, k in enumerate(stop.stiffness, start=1))
+
+
+@pytest.mark.parametrize("stiffness", STOPS.values(), ids=STOPS)
+def test_force_is_the_polynomial_of_how_far_it_is_squeezed(stiffness):
+    """Over the whole travel, the stops push a quarter-car's body back with k1 x + k2 x^2 + k3 x^3, and not before their end."""
+    vehicle = built(UNLIKE + stiffness)
+    stops = vehicle.limits.stops_at("")
+    assert stops is not None
+    with_stops, without = build_model(vehicle, 1e-3), build_model(dataclasses.replace(vehicle, limits=Limits()), 1e-3)
+
+    def passive(model, deflection):
+        data = mujoco.MjData(model)
+        data.joint("sprung").qpos[0] = deflection
+        mujoco.mj_forward(model, data)
+        return float(data.joint("sprung").qfrc_passive[0])
+
+    for deflection in np.linspace(-0.12, 0.12, 49):
+        force = passive(with_stops, deflection) - passive(without, deflection)
+        up = push_of(stops.bump, max(-deflection - 0.05, 0.0)) - push_of(stops.rebound, max(deflection - 0.07, 0.0))
+        assert force == pytest.approx(up, abs=1e-9, rel=1e-12)  # rounding beside the weight of 5 kN
+
+
+@pytest.mark.parametrize(
+    ("kind", "stiffness"), [("quarter_car", "linear"), ("quarter_car", "progressive"), ("half_car", "of each side")]
+)
+def test_energy_balances(kind, stiffness):
+    """Deep in its stops a vehicle's energy balances as it does with a linear stop: MuJoCo stores what it pushes with."""
+    vehicle = built(UNLIKE + STOPS[stiffness], kind)
+    road, time = Bump(height=0.15, length=2.0, speed=8.0), sample_times(vehicle, 1.5, 1e-3)
+    runs = simulate([vehicle], [Designer(vehicle).design("passive")], [road], time)
+    deepest = min(float(runs.response.run(0)[one.deflection].min()) for one in vehicle.kind.suspensions)
+    assert deepest < -0.051  # it is in them
+    found = energy(vehicle, runs, 0, road)
+    assert found.residual < 1e-4  # kinks where a stop begins to act; measured up to 5.3e-5
+
+
+CAR = """type = "quarter_car"
+[parameters]
+sprung_mass = 420.0
+unsprung_mass = 45.0
+suspension_stiffness = 22e3
+suspension_damping = 1500.0
+tyre_stiffness = 210e3
+[performance]
+sprung_acceleration = 1.0
+[limits]
+suspension_stroke = %s
+stop_stiffness = 1e5
+"""
+
+
+def driven(kind, road=BUMP, duration=0.6):
+    """Returns the run of the passive vehicle, after what `sim.bump` prints of it and its object in JSON."""
+    (run,) = run_controllers(kind, [Designer(kind).design("passive")], road, sample_times(kind, duration, 1e-3))
+    return run, run_object(run), stop_lines([run], few=3)
+
+
+def test_each_stop_is_named_with_squeeze_force_and_time():
+    """Both stops of a car are named with what MuJoCo does there: its body's equation leaves over the same force."""
+    run, made, lines = driven(parse_vehicle(CAR % "0.06"))
+    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s; rebound 17.7 mm, 1773 N at 0.381 s"]
+    assert lines[0].strip() in verdict_lines(run)
+    assert verdict(run).startswith("agrees until 0.157 s (bump stop)")
+    of = {signal.name: run.physics[signal.name] for signal in run.physics.signals}
+    up = 420 * of["sprung_acceleration"] + 22e3 * of["suspension_deflection"]
+    up += 1500 * (of["sprung_velocity"] - of["unsprung_velocity"])
+    for side, force in {"bump": up.max(), "rebound": -up.min()}.items():
+        one = made["stops"]["suspension_deflection"][side]
+        assert one["force"] == pytest.approx(force, rel=1e-9)  # rounding
+        assert one["squeeze"] == pytest.approx(force / 1e5, rel=1e-9)
+        assert run.physics.time[np.abs(up).argmax() if side == "rebound" else up.argmax()] == one["time"]
+
+
+def test_a_side_that_is_left_out_has_no_stop():
+    """With `{ bump = 0.06 }`, or rebound alone, the other side never pushes, ends nothing, and is in no sentence."""
+    far = parse_vehicle(CAR % "{ bump = 0.06, rebound = 10.0 }")
+    one = parse_vehicle(CAR % "{ bump = 0.06 }")
+    apart, (run, made, lines) = driven(far)[0], driven(one)
+    np.testing.assert_array_equal(run.physics.values, apart.physics.values)  # a spring that is never reached adds nothing
+    assert run.passed
+    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s"]
+    assert set(made["stops"]["suspension_deflection"]) == {"bump"}
+    assert one.limits.phrases(one.kind.suspensions) == ("bump stops at -0.06 m in bump",)
+    written = json.loads(json.dumps(one.limits.record))
+    assert read_limits({key: value for key, value in written.items() if value is not None}, one.kind.suspensions) == one.limits
+    assert one.limits.written == {"suspension_stroke.bump": "0.06", "stop_stiffness": "100000"}
+    run, made, lines = driven(parse_vehicle(CAR % "{ rebound = 0.06 }"))
+    assert lines[0].startswith("  stops: rebound ")
+    assert "(rebound stop)" in verdict(run)
+    assert verdict_lines(run)[0].startswith("rebound stop: a suspension is at the end of its stroke first at ")
+    assert "bump" not in made["stops"]["suspension_deflection"]
+
+
+def test_a_stop_ends_the_regime_at_its_own_end(paper):
+    """The event comes where the deflection first is at the stop of its side: at 50 mm in bump, at 70 in rebound."""
+    time, road = sample_times(paper, 1.5, 1e-3), Bump(height=0.15, length=2.0, speed=8.0)
+    passive = Designer(paper).design("passive")
+    free = simulate([paper], [passive], [road], time).response.run(0)["suspension_deflection"]
+    for bump, rebound in ((0.05, 0.07), (0.07, 0.05), (0.05, 10.0), (10.0, 0.05)):
+        vehicle = built(f"\n[limits]\nsuspension_stroke = {{ bump = {bump}, rebound = {rebound} }}\nstop_stiffness = 1e5")
+        response = simulate([vehicle], [passive], [road], time).response.run(0)
+        touched = np.flatnonzero((free <= -bump) | (free >= rebound))
+        expected = time[touched[0]] if len(touched) else np.inf
+        assert reached(vehicle, response)[1] == expected
+    assert (free <= -0.05).any()
+    assert (free >= 0.05).any()
+
+
+def test_alike_stops_are_one_spring_as_before():
+    """Stops given for each side that are the same are the model that one number gives, bit for bit."""
+    plain = "\n[limits]\nsuspension_stroke = 0.05\nstop_stiffness = 1e5"
+    sides = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.05 }\nstop_stiffness = { bump = [1e5], rebound = 1e5 }"
+    one, other = (built(text, "full_car") for text in (plain, sides))
+    assert mjcf_text(one, 1e-3) == mjcf_text(other, 1e-3)
+
+
+def test_limits_are_read_back_from_logs():
+    """The limits of a log are read back as the same limits, with lists and sides."""
+    for kind in ("quarter_car", "full_car"):
+        for stiffness in STOPS.values():
+            vehicle = built(UNLIKE + stiffness + (PLACES if kind == "full_car" else ""), kind)
+            written = json.loads(json.dumps(vehicle.limits.record))
+            said = {name: value for name, value in written.items() if value is not None}
+            assert read_limits(said, vehicle.kind.suspensions) == vehicle.limits
+            hash(vehicle.limits)
+
+
+def test_stops_of_an_axle_are_its_own():
+    """Every suspension's stops in MuJoCo, in the events, metrics and words are those of the section nearest to it."""
+    vehicle = built(UNLIKE + "1e5" + PLACES, "full_car")
+    assert vehicle.limits.phrases(vehicle.kind.suspensions) == (
+        "bump stops at -0.05 m in bump and +0.07 m in rebound (front)",
+        "progressive bump stops at -0.06 m in bump and +0.09 m in rebound (rear_left)",
+        "bump stops at -0.06 m in bump and +0.09 m in rebound (rear_right)",
+    )
+    found = vehicle.limits.stops(vehicle.kind.suspensions)
+    model = build_model(vehicle, 1e-3)
+    wanted = {}
+    for one in vehicle.kind.suspensions:
+        rear, left = one.corner.startswith("rear"), one.corner == "rear_left"
+        wanted[one.deflection] = (0.06, 0.09) if rear else (0.05, 0.07)
+        both = found[one.deflection]
+        assert (both.bump.stroke, both.rebound.stroke) == wanted[one.deflection]
+        assert both.bump.stiffness == both.rebound.stiffness == ((3e4, 0.0, 1e8) if left else (1e5, 0.0, 0.0))
+        spring, rest = model.tendon(f"stop_{one.tendon}").id, model.tendon_length0[model.tendon(one.tendon).id]
+        slack = model.tendon_lengthspring[spring] - rest
+        assert slack == pytest.approx([-wanted[one.deflection][0], wanted[one.deflection][1]], abs=1e-12)
+        assert model.tendon_stiffness[spring] == both.bump.stiffness[0]
+    road, time = Bump(height=0.15, length=2.0, speed=8.0), sample_times(vehicle, 1.5, 1e-3)
+    runs = simulate([vehicle], [Designer(vehicle).design("passive")], [road], time)
+    response = runs.response.run(0)
+    beyond = {name: (response[name] <= -low) | (response[name] >= high) for name, (low, high) in wanted.items()}
+    assert all(one.any() for one in beyond.values())
+    assert reached(vehicle, response)[1] == time[min(int(one.argmax()) for one in beyond.values())]
+    measured = measure(vehicle, response, 0)
+    assert {name: measured[f"{name}_at_stops"] for name in wanted} == {name: one.mean() for name, one in beyond.items()}
+    assert energy(vehicle, runs, 0, road).residual < 1e-4  # kinks where a stop begins to act
+
+
+def test_an_axle_may_be_without_stops():
+    """Stops of one axle alone: of the other there is neither a spring nor a metric, and what is expected knows it."""
+    vehicle = built("\n[limits.front]\nsuspension_stroke = { bump = 0.02, rebound = 0.03 }\nstop_stiffness = 1e5", "half_car")
+    model = build_model(vehicle, 1e-3)
+    names = [model.tendon(i).name for i in range(model.ntendon)]
+    assert [name for name in names if name.startswith("stop")] == ["stop_suspension_front"]
+    metrics = [one.name for one in metrics_of(vehicle) if one.what == "at_stops"]
+    assert metrics == ["suspension_deflection_front_at_stops"]
+    expected = expect(vehicle, Designer(vehicle).design("passive"), Iso8608("C", 0, 20.0).spectrum, 1e-3, 10.0)
+    assert expected is not None
+    sigma = expected.mean["suspension_deflection_front_rms"]
+    tails = sum(float(stats.norm.sf(stroke / sigma)) for stroke in (0.02, 0.03))
+    assert expected.mean["suspension_deflection_front_at_stops"] == pytest.approx(tails, rel=1e-9)
+    assert "suspension_deflection_rear_at_stops" not in expected.mean
+
+
+def test_a_log_proves_its_stops(tmp_path, capsys):
+    """A run into unlike progressive stops is logged and says so, and the log proves it again."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
+    assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), "-v"]) == 0
+    assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0

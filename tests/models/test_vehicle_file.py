@@ -1,0 +1,290 @@
+"""Vehicle files: the one that ships is the paper's, and every mistake in one is named in one line."""
+
+import re
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.kinds.kind import MOST_SQUEEZE
+from models.vehicle.limits_and_implementation import unit_doubts
+from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped
+from tests.support.commands import ROOT, main_of, prose, refused
+
+MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
+MASS = "sprung_mass = 504.5"
+WEIGHT = "sprung_acceleration = 1.0"
+LAW = "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]"
+MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
+
+# (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
+CHANGES = [
+    ("a decimal comma", MASS, "sprung_mass = 504,5", ["not TOML", "write 504.5 for 504,5"]),
+    ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
+    (
+        "unknown section",
+        "[performance]",
+        "[comfort]",
+        ["'comfort'", "controllers, curves, implementation, limits, parameters, payload, performance, type"],
+    ),
+    ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
+    ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
+    ("type is a number", '"quarter_car"', "4", ["type = 4", "known: "]),
+    ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
+    ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
+    ("negative mass", MASS, "sprung_mass = -504.5", ["sprung_mass = -504.5", "from 1e-06 to 1e+12 kg"]),
+    ("NaN", MASS, "sprung_mass = nan", ["sprung_mass = nan", "from 1e-06 to 1e+12 kg"]),
+    ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 99999", "from 1e-06 to 1e+12 kg"]),
+    ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
+    ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
+    ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
+    ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
+    ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
+    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "lag, law, loads"]),
+    ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
+    ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain with A: a controller has one law"]),
+    (
+        "a law that does not fit",
+        MINE,
+        f"{MINE}\n{LAW}".replace("C = [[1.0]]", "C = [[1.0, 2.0]]"),
+        ["C has 1 row(s) of 2 number(s); give 1 row(s) of 1"],
+    ),
+    ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
+    ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
+    ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
+    ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
+    ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
+    ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
+    ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
+    ("gain that overflows", MINE, f"{MINE}\ngain = [[1e300, 1.0]]", ["gain = [[1e+300, 1.0]]", "at most 1e+12"]),
+    ("a taken name", "[controllers.I]", "[controllers.passive]", ["[controllers.passive]", "rename"]),
+    ("no name", "[controllers.I]", '[controllers.""]', ["name", "letters, digits"]),
+    ("a name too long for a file", "[controllers.I]", f"[controllers.{'I' * 70}]", ["at most 60"]),
+]
+
+VELOCITY = '[controllers.mine]\nmeasured = ["sprung_velocity"]'
+SAMPLED = "[implementation]\nsample_period = 0.01"
+BOTH = f"[controllers.mine]\n{MINE}"
+
+# By vehicle, and what begins the lines that are added to its file: the rest of them, what the message says.
+ADDED = {
+    ("quarter_car", VELOCITY): [
+        ("stable = true", "no law, order or design with stable = true: it is a law designed with an order"),
+        ('order = "half"', "order = 'half' is not known; known: full"),
+        ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
+        ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
+        ('design = "lqr"', 'design = "lqr" is of the state'),
+        ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
+        ("sampled = true", "mine] has sampled = true, and ", "no sample period"),
+        (
+            f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
+            *('design = "lqg" with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "the two steps"),
+        ),
+        (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "gain with sampled = true: a law that is given is not designed"),
+    ],
+    ("quarter_car", BOTH): [
+        ("noise = 0.1", "noise = 0.1 is not allowed; give true or false"),
+        (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
+        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, and nothing clips its forces"),
+        ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
+        ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
+        ("loads = true", "loads = True is no table"),
+        ('loads = { heave_load = 1e3 }\ndesign = "h2"', 'design = "h2" with loads: ', 'choose design = "h2"'),
+        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
+    ],
+    ("quarter_car_semi_active", "[controllers.mine]"): [
+        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is run as it is"),
+        ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
+        ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
+        ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
+        ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
+        ('semi_active = "skyhook_modal"', "is of a body that pitches or rolls"),
+    ],
+    ("quarter_car", "[implementation]"): [
+        ("sampled = true", "[implementation] has sampled = true, and ", "gives no sample period"),
+        ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
+        ("seed = 1.5", "seed = 1.5", "whole number"),
+        ("delay = 51", "delay = 51", "from 0 to 50"),
+        ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
+        ("noise = 1.0", "noise = 1.0 is not a table"),
+    ],
+    ("quarter_car_semi_active", VELOCITY): [
+        ("mix = 0.5", "mix is of a semi-active law; give one"),
+    ],
+    ("full_car", ""): [
+        (
+            "[limits.middle]\nsuspension_stroke = 0.1",
+            "[limits.middle]",
+            "not a suspension",
+            "front, front_left, front_right, rear",
+        ),
+        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
+        ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
+        ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
+    ],
+    ("full_car", "[limits]"): [],
+    ("quarter_car", "[limits]"): [
+        ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
+        ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "suspension_stroke rebound = -0.1"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
+        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
+        (
+            'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
+            "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or leave the quotes out",
+        ),
+        ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def text(paper):
+    return paper.text
+
+
+def test_the_file_that_ships_is_the_papers(paper):
+    """`quarter_car` has the parameters (33), the weights (38), what I and II measure, and the printed gains."""
+    assert paper.parameters == {
+        "sprung_mass": 504.5,
+        "unsprung_mass": 62.0,
+        "suspension_stiffness": 13100.0,
+        "suspension_damping": 400.0,
+        "tyre_stiffness": 252000.0,
+    }
+    assert paper.performance == {
+        "sprung_acceleration": 1.0,
+        "suspension_deflection": 0.1,
+        "tyre_deflection": 0.2,
+        "control_force": 1e-4,
+    }
+    measured = {name: entry.measured for name, entry in paper.controllers.items()}
+    assert measured["I"] == measured["I_printed"] == ("suspension_deflection", "sprung_velocity")  # (45)
+    assert measured["II"] == measured["II_printed"] == ("sprung_velocity",)  # (54)
+    laws = {name: entry.law for name, entry in paper.controllers.items()}
+    assert laws["I"] is None
+    assert laws["II"] is None
+    gains = {name: law.D for name, law in laws.items() if law is not None and not law.states}
+    np.testing.assert_array_equal(gains["I_printed"], [[1.0824e4, -0.2071e4]])  # (50)
+    np.testing.assert_array_equal(gains["II_printed"], [[-8970.3]])  # (58)
+    np.testing.assert_array_equal(gains["state_printed"], [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]])  # (40)
+
+
+def test_passive_and_state_always_exist(text):
+    """A vehicle file without controllers still has two: no force, and full state feedback. Whole numbers and no damping do."""
+    vehicle = parse_vehicle(text.split("[controllers.I]")[0].replace("= 400.0", "= 0").replace("= 504.5", "= 500"))
+    assert vehicle.controller_names == ("passive", "state")
+    assert (vehicle.parameters["suspension_damping"], vehicle.parameters["sprung_mass"]) == (0.0, 500.0)
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [row[1:] for row in CHANGES], ids=[row[0] for row in CHANGES])
+def test_a_mistake_is_named(text, old, new, said):
+    """One wrong entry is refused in one line that names the key and what is allowed."""
+    assert text.count(old) >= 1
+    with refused(*said, match=r"\A.{,400}\Z"):  # a line, not a page: values are shortened
+        parse_vehicle(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "lines", "said"),
+    [(kind, f"{head}\n{row[0]}", row[1:]) for (kind, head), rows in ADDED.items() for row in rows],
+    ids=[row[1] for rows in ADDED.values() for row in rows],
+)
+def test_what_is_added_wrongly_is_named(kind, lines, said):
+    """Keys that do not go together, and sections of what a vehicle does not have, are refused in one line that says where."""
+    with refused(*said, *(["[controllers.mine]"] if "[controllers.mine]" in lines else [])):
+        parse_vehicle(f"{read_vehicle(kind).text}\n{lines}\n")
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("[performance]\n", "weighs nothing"),
+        ("[performance]\nsprung_acceleration = 0.0\n", "weighs nothing"),
+        ("performance = 1.0\n", "write it as [performance]"),
+        ("", "'performance' is missing"),
+    ],
+)
+def test_a_design_needs_weights(text, section, said):
+    """A `[performance]` that is empty, all zero, no section or not there is refused."""
+    head = text.split("# Weights")[0]
+    if not section.startswith("["):
+        head, section = section + head, ""
+    with pytest.raises(InputError, match=said.replace("[", r"\[")):
+        parse_vehicle(head + section)
+
+
+def test_controllers_are_sections(text):
+    """A controller that is no section is refused, and so is a list of them."""
+    head = text.split("[controllers.I]")[0]
+    with pytest.raises(InputError, match=r"\[controllers.mine\] is not one section"):
+        parse_vehicle(f"{head}[controllers]\nmine = 3\n")
+    with pytest.raises(InputError, match=r"write it as \[controllers\]"):
+        parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
+
+
+def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
+    """A vehicle that ships is found by name, but a file of that name comes first; a byte order mark is no mistake."""
+    monkeypatch.chdir(tmp_path)
+    assert read_vehicle("quarter_car").source == paper.source
+    (tmp_path / "quarter_car").write_text(paper.text.replace("504.5", "600.0"), encoding="utf-8-sig")
+    assert read_vehicle("quarter_car").parameters["sprung_mass"] == 600.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "there is no such file"),
+        ("folder", "is a folder"),
+        (bytes(range(256)), "not a text file in UTF-8"),
+        (b"", "'type' is missing"),
+    ],
+)
+def test_a_file_that_cannot_be_read(tmp_path, content, said):
+    """A file that is not there, a folder, a binary and an empty file are refused by name in one line."""
+    path = tmp_path / "mine.toml"
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    with refused(str(path), said):
+        read_vehicle(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("suspension_stiffness", 42.7, "natural frequency is about 0.046 Hz"),  # N/mm
+        ("suspension_damping", 1.095e6, "damping ratio is about"),  # kN s/m, times 1000
+        ("sprung_mass", 0.5045, "natural frequency is about 26 Hz"),  # tonnes
+        ("suspension_stroke", 60.0, "suspension_stroke is 60 m"),  # mm
+        ("suspension_stroke", "{ bump = 60.0 }", "suspension_stroke.bump is 60 m"),
+    ],
+)
+def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
+    """A number that is probably not in SI units is asked about on stderr, and taken as it is; no vehicle that ships is."""
+    file = tmp_path / "car.toml"
+    text = (ROOT / "models" / "quarter_car.toml").read_text(encoding="utf-8")
+    text = re.sub(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.MULTILINE)
+    file.write_text(text if f"{name} = {value}" in text else f"{text}[limits]\n{name} = {value}\nstop_stiffness = 100.0\n")
+    assert main_of("synth")(["--vehicle", str(file), "--controller", "passive"]) == 0
+    asked = prose(capsys.readouterr().err)
+    assert said in asked
+    assert ("stop_stiffness is 100 N/m" in asked) == (name == "suspension_stroke")  # N/mm
+
+
+def test_a_map_asks_about_units_too(tmp_path, capsys):
+    """Commands that run a vehicle ask about its units as `synth` does."""
+    file = tmp_path / "car.toml"
+    file.write_text(read_vehicle("quarter_car").text + "[limits]\nsuspension_stroke = 80\nstop_stiffness = 1e5\n")
+    options = ["--vary", "height:0.02:0.03:2", "--duration", "0.5", "--timestep", "0.005", "--json"]
+    assert main_of("sim.envelope")(["--vehicle", str(file), "--controller", "passive", *options]) == 0
+    assert "suspension_stroke is 80 m; is it in m?" in capsys.readouterr().err
+
+
+def test_vehicles_that_ship_raise_no_doubt():
+    """Nothing is asked about the vehicles that ship."""
+    for one in map(read_vehicle, shipped()):
+        assert unit_doubts(one.parameters, one.limits) == []

@@ -1,0 +1,286 @@
+"""Exported code drives the runs: it has the bits of the law, and its difference from the law's run is measured."""
+
+import dataclasses
+import hashlib
+import importlib.util
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.roads.choice import choose_road
+from models.roads.road import Bump, RoadInput
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.campaign.__main__ import main as campaign
+from sim.command.comparison import controllers_of
+from sim.inspect.__main__ import main as inspect
+from sim.physics.simulate import simulate
+from sim.report.__main__ import main as report
+from sim.report.contents import EXPORTED, pieces_of
+from sim.report.exported import exported_section
+from sim.report.scope import Exported, Scope
+from sim.runs.code_effect import code_line
+from sim.runs.report import verdict_lines
+from sim.runs.run import run_controllers, sample_times
+from sim.sweep import main as sweep
+from synth.__main__ import main as synth
+from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.export.c_law import exported_law
+from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.fixed_source import source_of
+from synth.vehicle.designer import Designer
+from tests.commands.test_export import BUILT, LAW, needs_cc
+from tests.commands.test_export import _given as given
+from tests.support.commands import attacks, prose
+
+STEP = 1e-3
+WIDE = "[limits]\nactuator_force = 50000.0\n"  # never reached
+LIMITED = """delay = 2
+noise = {sprung_velocity = 0.001}
+quantisation = {suspension_deflection = 1e-4}
+[limits]
+actuator_force = 150.0
+"""
+
+
+def coded(vehicle: Vehicle, driver: Driver, numbers: str, ranges: dict[str, float] | None = None) -> Driver:
+    """Returns a controller that its exported code drives."""
+    law = exported_law(vehicle, driver, numbers, "law", ranges)
+    return driven_by(driver, ExportedCode(law, source_of(law, "0" * 64).files, numbers))
+
+
+def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:
+    """Returns a vehicle on a rough road."""
+    road = choose_road("iso8608:class=C").build(vehicle, 20.0, seed, 20.0 * seconds)
+    return RoadInput(vehicle, road, sample_times(vehicle, seconds, STEP))
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("law", LAW + BUILT + LIMITED),
+        *attacks([("law", LAW + BUILT + WIDE), ("I", ""), ("skyhook_linear", None)]),
+        ("sky", None),
+    ],
+)
+def test_a_run_is_that_of_our_law(name, text):
+    """A run by compiled code is one by our law to rounding, force requests and states included, and has its verdict."""
+    vehicle = read_vehicle("quarter_car_semi_active") if text is None else parse_vehicle(read_vehicle("quarter_car").text + text)
+    driver = given(vehicle, name) if name in vehicle.linear_names else vehicle.controllers[name].driver()
+    on = road_under(vehicle, 1.0, 0)
+    both = run_controllers(vehicle, [driver, coded(vehicle, driver, "double")], on.road, on.time)
+    assert [run.passed for run in both] == [True, True]
+    assert both[0].agreement.verdict == both[1].agreement.verdict
+    ours, code = simulate([driver], [on]), simulate([coded(vehicle, driver, "double")], [on])
+    scale = np.abs(ours.response.values).max(axis=1)
+    off = np.abs(ours.response.values - code.response.values).max(axis=1)
+    assert np.all(off <= 1e-7 * scale + 1e-12)  # a reading on the edge of a step may go the other way: 1e-9 was found
+    assert code.requested_force == pytest.approx(ours.requested_force, abs=1e-6 * np.abs(ours.requested_force).max())
+    assert code.kept == pytest.approx(ours.kept, abs=1e-6 * np.abs(ours.kept).max(initial=1e-9))
+
+
+@needs_cc
+def test_runs_side_by_side_are_those_alone():
+    """Code that drives several runs at once keeps a state of its own for each: their numbers are those of single runs."""
+    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + WIDE)
+    driver, roads = coded(vehicle, given(vehicle, "law"), "double"), [road_under(vehicle, 0.5, seed) for seed in (1, 2)]
+    together = simulate([driver] * 2, roads)
+    for i, road in enumerate(roads):
+        assert np.array_equal(together.response.values[i], simulate([driver], [road]).response.values[0])
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["double", "int16", *attacks(["float", "int32"])])
+def test_what_the_code_changes_is_measured(numbers):
+    """The effect of the code is the difference of two runs in MuJoCo, is less in finer numbers, and the run agrees with it."""
+    vehicle = read_vehicle("quarter_car")
+    law, on = given(vehicle, "I"), road_under(vehicle, 1.0, 1)
+    driver = coded(vehicle, law, numbers, {"suspension_deflection": 0.2, "sprung_velocity": 2.0})
+    (run,) = run_controllers(vehicle, [driver], on.road, on.time)
+    ours, code = (simulate([one], [on]).response.run(0) for one in (law, driver))
+    effect = run.prediction.code_effect
+    assert effect is not None
+    for name in vehicle.linear_model.outputs:
+        apart = np.abs(code[name] - ours[name])
+        assert (effect.peak(name), effect.rms(name)) == (apart.max(), pytest.approx(np.sqrt(np.mean(apart**2))))
+    low, high = {"double": (0, 1e-9), "float": (1e-9, 1e-5), "int32": (1e-12, 1e-6), "int16": (1e-5, 1e-2)}[numbers]
+    assert low <= effect.share < high
+    assert run.passed
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
+def test_code_of_another_law_does_not_agree(numbers):
+    """Code with a fiftieth more gain than its law moves signals by more than is allowed, and the run says so."""
+    vehicle = read_vehicle("quarter_car")
+    law, on = given(vehicle, "I"), road_under(vehicle, 1.0, 1)
+    wrong = coded(vehicle, dataclasses.replace(law, law=law.law.scaled(1.02)), numbers)
+    code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
+    (run,) = run_controllers(vehicle, [driven_by(law, code)], on.road, on.time)
+    assert not run.passed
+    assert "DOES NOT AGREE: the code moves" in prose(" ".join(verdict_lines(run)))
+
+
+@needs_cc
+def test_geometry_and_ranges_have_their_words():
+    """A half-car with code in int16 agrees to first order, as its law drives at a hundredth of the road; clipping is named."""
+    vehicle, time = read_vehicle("half_car"), sample_times(read_vehicle("half_car"), 1.0, STEP)
+    law = given(vehicle, "I")
+    for most, words in ((2.0, "geometry and rounding to int16 make"), (0.01, "leaves its range on this road and is clipped")):
+        (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
+        assert run.passed == (most > 1)
+        assert words in prose(" ".join([code_line(run.prediction.code_effect, vehicle), *verdict_lines(run)]))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Returns a folder with a vehicle, and its law exported in double and float."""
+    folder = tmp_path_factory.mktemp("loop")
+    (folder / "car.toml").write_text(read_vehicle("quarter_car").text + LAW + BUILT + WIDE)
+    for numbers in ("double", "float"):
+        options = ["--controller", "law", "--numbers", numbers]
+        assert synth(["--vehicle", str(folder / "car.toml"), *options, "--export", str(folder / numbers)]) == 0
+    return folder
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
+def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
+    """sim.bump with --as agrees throughout, says which numbers drive, and how far the run is from that of the law.
+
+    From its log the code is made again, and MuJoCo makes the same run with it, to the last bit.
+    """
+    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / numbers), "--duration", "0.5"]
+    capsys.readouterr()
+    assert bump([*options, "--no-logs"]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) <= 24
+    words = f"compiled code in {numbers} drives it; control_force differs from that of the law by", "law agrees throughout"
+    assert all(some in prose(out) for some in words)
+    assert bump([*options, "--logs", str(tmp_path), "--json"]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["controller"]["code"]["numbers"] == numbers
+    force = run["code_difference"]["control_force"]
+    assert 0 < force["rms"] < force["peak"] < (1 if numbers == "float" else 1e-6)
+    assert bump([*options, "--no-logs", "-v"]) == 0
+    assert f"control_force [N] {force['peak']:.2g} {force['rms']:.2g}" in prose(capsys.readouterr().out)
+    assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
+    said = prose(capsys.readouterr().out)
+    assert ("the run with the law itself agrees with the exact sampled response" in said) == (numbers == "float")
+    assert "come out as they were logged, to the last bit" in said
+
+
+CAMPAIGN = """vehicles = ["car.toml"]
+controllers = ["passive", "law"]
+roads = ["bump"]
+speeds = [12.5]
+duration = 0.8
+[samples]
+count = 2
+[samples.parameters]
+sprung_mass = { uniform = [0.9, 1.1], relative = true }
+"""
+
+
+@pytest.mark.attack
+@needs_cc
+def test_a_campaign_is_driven_by_code(folders, capsys):
+    """A campaign with --as has the results of one without, to rounding. It can be verified, and goes on with that code alone."""
+    (folders / "campaign.toml").write_text(CAMPAIGN)
+    command = [str(folders / "campaign.toml"), "--json", "--results"]
+    found = []
+    for name, options in {"ours": [], "code": ["--as", str(folders / "double")]}.items():
+        assert campaign([*command, str(folders / name), *options]) == 0
+        found.append(json.loads(capsys.readouterr().out)["summary"])
+    for ours, code in zip(*found, strict=True):
+        assert ours["controller"] == code["controller"]
+        assert code["ride"]["rms"] == pytest.approx(ours["ride"]["rms"], rel=1e-9)  # orders of summation
+    assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
+    assert "compiled code drives law in double" in capsys.readouterr().out
+    assert campaign(["--verify", str(folders / "code")]) == 0
+    with pytest.raises(InputError, match="the campaign began without this code"):
+        campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "controller", "said"),
+    [
+        (LAW + BUILT + WIDE, "I", "is of controller 'law', and --controller gives I"),
+        (LAW.replace("4000.0", "4001.0") + BUILT + WIDE, "law", "is of another law than that of controller 'law'"),
+        (LAW.replace("sample_period = 0.005\nanti_windup = 5.0\n", "") + WIDE, "law", "sample_period = 0.005, and not None"),
+        (LAW + BUILT + "delay = 2\n" + WIDE, "law", "delay = 0, and not 2"),
+        (LAW + BUILT + "[limits]\nactuator_force = 9.0\n", "law", "actuator_force = 50000.0, and not 9"),
+        (None, "law", "sprung_mass = "),
+    ],
+)
+def test_another_folder_is_refused(folders, vehicle, controller, said, tmp_path):
+    """Code of another controller, law, sample period, hardware or vehicle is refused in one line."""
+    text = read_vehicle("quarter_car").text
+    text = text + vehicle if vehicle else text.replace("sprung_mass = 504.5", "sprung_mass = 505.5") + LAW + BUILT + WIDE
+    (tmp_path / "car.toml").write_text(text)
+    with pytest.raises(InputError, match=said):
+        bump(["--vehicle", str(tmp_path / "car.toml"), "--controller", controller, "--as", str(folders / "double"), "--no-logs"])
+
+
+@pytest.mark.parametrize("file", ["law.c", "law_data.h", "README.md"])
+def test_a_changed_file_is_refused(folders, file, tmp_path):
+    """A folder with a changed file drives nothing."""
+    shutil.copytree(folders / "double", tmp_path / "copy")
+    (tmp_path / "copy" / file).write_text((tmp_path / "copy" / file).read_text().replace("0", "1", 1))
+    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
+    with pytest.raises(InputError, match=f"{file}: is changed"):
+        bump([*options, "--as", str(tmp_path / "copy")])
+
+
+def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
+    """Without any compiler one line names both ways to one."""
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    from synth.controller.export import compiled
+
+    compiled._library.cache_clear()
+    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
+    with pytest.raises(InputError, match="no C compiler is here; install cc, or"):
+        bump([*options, "--as", str(folders / "double")])
+
+
+@pytest.mark.attack
+@needs_cc
+def test_the_section_of_a_report(folders):
+    """The page has the folder, its checksum, and the measured effect of the code on every signal."""
+    vehicle, folder = read_vehicle(str(folders / "car.toml")), folders / "float"
+    designer = Designer(vehicle, search=False)
+    own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
+    assert isinstance(own, Controller)
+    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, driver))
+    assert (EXPORTED, "") in pieces_of(scope)
+    section, (finding,) = exported_section(scope)
+    facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
+    assert facts["folder"] == str(folder)
+    assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert facts["format"] == "C99 in float, law_step every 5 ms"
+    assert changes["control force"] == "N"
+    assert finding.state == "holds"
+
+
+def test_no_folder_of_a_gallery(tmp_path):
+    """The page of the gallery is of no vehicle file, and so of no folder."""
+    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
+        report(["--gallery", "--as", str(tmp_path)])
+
+
+@needs_cc
+@pytest.mark.parametrize(("numbers", "code"), attacks([("int32", 0), ("int16", 1)]))
+def test_a_sweep_is_driven_by_quantised_code(numbers, code, tmp_path, capsys):
+    """On roads of a tenth of a millimetre a sweep agrees with code in int32; steps of int16 are too coarse there, as it says."""
+    ranges = ["--range", "suspension_deflection=0.2", "--range", "sprung_velocity=2"]
+    assert synth(["--controller", "I", "--numbers", numbers, *ranges, "--export", str(tmp_path / "ecu")]) == 0
+    capsys.readouterr()
+    assert sweep(["--controller", "I", "--timestep", "4e-3", "--as", str(tmp_path / "ecu"), "--json"]) == code
+    (found,) = json.loads(capsys.readouterr().out)["sweeps"]
+    said = "; ".join(found["failures"])
+    assert ("rounding to int16 is not in that" in said) == (numbers == "int16")

@@ -1,0 +1,313 @@
+"""The map of validity: what breaks first in MuJoCo is what one linear run predicts."""
+
+import csv
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.figures.figure import Classes
+from models.kinds.kind import MOST_SQUEEZE
+from models.roads.load import Brake
+from models.roads.loaded import RoadWithLoads
+from models.roads.road import Bump
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import read_vehicle
+from sim.envelope import main
+from sim.inspect.__main__ import main as inspect
+from sim.response.regime import (
+    END_NAMES,
+    FLAT,
+    REGIME_ENDS,
+    scaled_reached,
+    utilisation,
+)
+from sim.runs.dampers import shortfalls
+from sim.runs.run import run_controllers
+from sim.studies.validity.edges import travel_line
+from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_map import validity
+from sim.studies.validity.report import envelope_figure
+from synth.vehicle.designer import Designer
+from tests.conftest import recorded_runs
+from tests.support.analysed import sampled_response
+from tests.support.commands import once, prose
+
+TIME = np.arange(1501) * 2e-3
+LIMITS = Limits(suspension_stroke=0.12, stop_stiffness=2e5, actuator_force=1400.0)  # near one another over a bump of 5 m
+AXES = ("height:0.02:0.3:10", "speed:3:30:6")
+FIXED = {"height": 0.1, "length": 5.0, "speed": 12.5}
+
+
+@pytest.fixture
+def of_one_map(monkeypatch):
+    """Words and `--json` are of one map."""
+    monkeypatch.setattr("sim.studies.validity.regime_map.validity", once(validity))
+
+
+@pytest.fixture(scope="module")
+def limited(paper):
+    """The paper's quarter-car with hardware that ends."""
+    return dataclasses.replace(paper, limits=LIMITS)
+
+
+@pytest.fixture(scope="module")
+def cells(limited, designer):
+    """Its map over height and speed."""
+    bumps = grid(read_axes(AXES), FIXED)
+    return validity(limited, designer.design("I"), bumps, TIME)
+
+
+@pytest.mark.attack
+def test_dampers_that_are_short_of_force(tmp_path, capsys, of_one_map):
+    """A clipped controller's map says how much force is missing, cell by cell, and what ends the analysis with its dampers."""
+    arguments = ["--vehicle", "quarter_car_semi_active", "--controller", "I", "--timestep", "2e-3", "--duration", "1.5"]
+    arguments += ["--vary", "height:0.05:0.25:2", "--vary", "speed:6:18:3"]
+    table = tmp_path / "map.csv"
+    assert main([*arguments, "--json", "--csv", str(table)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
+    assert all(cell["agrees"] and not cell["holds"] for cell in found["cells"])  # no boundary is as near as 1 % in this map
+    vehicle = read_vehicle("quarter_car_semi_active")
+    controller = Designer(vehicle, search=False).design("I")
+    for cell in found["cells"][::3]:
+        road = Bump(cell["height"], cell["length"], cell["speed"])
+        (run,) = run_controllers(vehicle, [controller], road, np.arange(751) * 2e-3)
+        (one,) = shortfalls(vehicle, run.physics).values()
+        assert cell["missing_force"] == pytest.approx(one.rms, rel=1e-6)  # another way to what was asked for: rounding
+    with table.open(newline="") as file:
+        assert [float(row["missing_force"]) for row in csv.DictReader(file)] == [one["missing_force"] for one in found["cells"]]
+
+    shares = [one["missing_force"] for one in found["cells"]]
+    said = f"adjustable dampers {percent(min(shares))} to {percent(max(shares))} (rms) is missing"
+    assert main(arguments) == 0
+    printed = prose(capsys.readouterr().out)
+    assert said in printed
+    assert "damper comes first" not in printed
+    assert "break as the analysis with its dampers predicts" in printed
+
+
+@pytest.mark.attack
+def test_loads_over_every_bump(tmp_path, capsys):
+    """Under a brake a map is of bumps and brake: what breaks first, and when, is as foretold, and is a run's; a log proves it."""
+    arguments = ["--vehicle", "half_car", "--controller", "passive", "--timestep", "2e-3", "--duration", "1.5"]
+    arguments += ["--vary", "height:0.02:0.2:2", "--vary", "speed:6:18:3", "--load", "brake:g=0.6:start=0.1"]
+    assert main([*arguments, "--json", "--logs", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["loads"] == ["brake:g=0.6:start=0.1"]
+    assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
+    vehicle = read_vehicle("half_car")
+    for cell in found["cells"][::2]:
+        road = RoadWithLoads(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
+        (run,) = run_controllers(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
+        lifted = run.agreement.ended["lift-off"]
+        assert cell["at"] == (lifted if np.isfinite(lifted) else None)
+        if cell["broke_first"] is None:
+            assert cell["error"] < 5e-3  # what turning bodies make of it: measured 2e-3
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0
+    capsys.readouterr()
+    assert main(arguments) == 0
+    assert "under brake:g=0.6:start=0.1" in prose(capsys.readouterr().out)
+
+
+def test_an_unstable_loop_is_said(tmp_path, capsys):
+    """A map of a loop that is unstable says so: up to some height nothing breaks within its runs all the same."""
+    text = read_vehicle("quarter_car").text + '[controllers.unstable]\nmeasured = ["sprung_velocity"]\ngain = [[3000.0]]\n'
+    (tmp_path / "car.toml").write_text(text, encoding="utf-8")
+    arguments = ["--vehicle", str(tmp_path / "car.toml"), "--vary", "height:0.02:0.03:2", "--duration", "0.5", "--controller"]
+    main([*arguments, "unstable"])
+    assert "UNSTABLE loop; every run grows: a pole at " in prose(capsys.readouterr().out)
+    main([*arguments, "passive"])
+    assert "UNSTABLE" not in capsys.readouterr().out
+
+
+def test_prediction(cells):
+    """The first end, and its time, follow from one linear run per speed: cell by cell, but for the boundary.
+
+    If nothing breaks, linear analysis holds to the integrator's own error; where it does not hold, something broke.
+    """
+    assert cells.agreement >= 0.99  # asked for; measured 1.0
+    assert cells.unexplained == 0
+    assert len(set(cells.first.tolist())) >= 3  # nothing, and at least two ends, come first somewhere
+    both = cells.agrees & (cells.first >= 0)
+    # Until then physics is linear to RK4's 1e-5 of a peak, which moves a crossing by less than a step.
+    assert np.abs(cells.time[both] - cells.predicted_time[both]).max() <= 2.1e-3
+    assert cells.error[cells.first < 0].max() < 2e-4  # RK4 at 2 ms makes 1e-5 of a peak; a tyre slack within a step, more
+    assert np.all(cells.first[cells.error > 0.05] >= 0)
+
+
+def test_heights_are_one_number(limited, designer):
+    """The height at which the linear regime ends is one over the use per metre: just below nothing breaks, just above it does."""
+    controller = designer.design("II")
+    for speed in (6.0, 25.0):
+        unit = sampled_response(limited, controller, Bump(1.0, 5.0, speed), TIME)
+        used = utilisation(limited, unit)
+        bumps = [Bump(factor / used.max(), 5.0, speed) for factor in (0.999, 1.001)]
+        found = validity(limited, controller, bumps, TIME)
+        assert found.first.tolist() == [-1, used.argmax()]  # 0.1 %: RK4 at 2 ms moves a peak by 1e-5
+
+
+def test_holes_break_as_predicted(limited, designer):
+    """Over holes, bumps of negative height, what breaks first is what is predicted, bump stops and saturation among it."""
+    bumps = [Bump(-height, 5.0, speed) for height in (0.02, 0.06, 0.1, 0.2) for speed in (6.0, 12.5, 25.0)]
+    found = validity(limited, designer.design("I"), bumps, TIME)
+    assert found.agrees.all()
+    assert len(set(found.first.tolist())) >= 3
+
+
+def test_a_tyre_is_flat_when_it_is(paper, designer):
+    """While nothing else has ended the regime the linear response is exact, and MuJoCo's tyres are flat at its very sample.
+
+    Also where the road goes through the hub within a step, though MuJoCo then reads a tyre that is long again. After a lift-off
+    a linear tyre pulls, and says nothing: what counts is what physics does.
+    """
+    timestep, met = 2e-3, set()
+    time = np.arange(251) * timestep
+    bumps = [Bump(height, length) for height in (0.3, 0.5, 0.7, 1.0, 2.0, 5.0) for length in (0.5, 1.5, 5.0)]
+    for bump in bumps:
+        (run,) = run_controllers(paper, [designer.design("I")], bump, time)
+        linear = scaled_reached(paper, run.sampled, np.ones(1))[0, REGIME_ENDS.index(FLAT)]
+        others = min(when for name, when in run.agreement.ended.items() if name != FLAT.name)
+        found = run.agreement.ended[FLAT.name]
+        if min(linear, found) < others:
+            assert found == linear, bump
+            met.add("first")
+        else:
+            squeezed = -float(run.physics["tyre_deflection"].min())
+            assert (squeezed >= MOST_SQUEEZE) == np.isfinite(found), bump
+            met.add("never" if linear < np.inf else "neither")
+        if np.isfinite(found) and run.physics["tyre_deflection"][round(found / timestep)] > -MOST_SQUEEZE:
+            met.add("through the hub")
+    assert met == {"first", "never", "neither", "through the hub"}
+
+
+def test_edges_along_the_height(capsys, tmp_path, paper, limited, designer, cells):
+    """One axis will do: words and --json say up to which height nothing breaks, and where one linear run has the end.
+
+    How far a suspension moves is said where no stop ends it.
+    """
+    pytest.importorskip("matplotlib")
+    arguments = ["--controller", "I", "--vary", "height:0.1:0.6:6", "--speed", "12.5", "--timestep", "0.002"]
+    assert main([*arguments, "--picture", str(tmp_path / "line.svg")]) == 0
+    printed = prose(capsys.readouterr().out)
+    end = "with a length of 5 m and a speed of 12.5 m/s: nothing up to 0.4 m, lift-off from 0.5 m; predicted from 0.4544 m"
+    assert f"where the linear regime ends along the height, {end}" in printed
+    travel = re.search(r"no bump stops in the file: where nothing breaks a suspension moves up to (\d+) mm", printed)
+    assert travel is not None
+    (run,) = run_controllers(paper, [designer.design("I")], Bump(0.4, 5.0, 12.5), TIME)
+    assert float(travel[1]) == pytest.approx(1e3 * run.physics.peak("suspension_deflection"), abs=0.5)  # of a rounded millimetre
+    metre = sampled_response(paper, designer.design("I"), Bump(1.0, 5.0, 12.5), TIME)
+    assert 1 / utilisation(paper, metre).max() == pytest.approx(0.4544, abs=5e-5)  # of four digits
+    assert travel_line(limited, cells) == []
+    assert (tmp_path / "line.svg").read_text().startswith("<?xml")
+    assert main([*arguments[:2], "--vary", "height:0.3:0.6:2", "--vary", "speed:6:12:2", *arguments[-2:], "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["edges"]
+    assert found["along"] == "height"
+    assert [line["speed"] for line in found["lines"]] == [6.0, 12.0]
+    slow, fast = found["lines"]
+    assert [part["end"] for part in slow["breaks_first"]] == [None]
+    assert [part["end"] for part in fast["breaks_first"]] == [None, "lift-off"]
+    assert fast["breaks_first"][0]["to"] < fast["predicted_from"] < fast["breaks_first"][1]["from"]
+
+
+@pytest.mark.parametrize("axes", [[], ["height:0.1:0.2:2", "speed:3:5:2", "length:1:2:2"], ["speed:12.5:12.5:1"]])
+def test_axes_that_are_none(axes):
+    """A map has one axis or two, and one value of a quantity is an option, not an axis."""
+    with pytest.raises(InputError, match=r"a map has one axis or two|give low < high"):
+        read_axes(axes)
+
+
+def test_words_are_the_cells(tmp_path, capsys, of_one_map):
+    """Every share and count that the command prints, and every line of its CSV, is that of the cells of its JSON.
+
+    The picture is written, and one run of each end is recorded.
+    """
+    pytest.importorskip("matplotlib")
+    vehicle = tmp_path / "limited.toml"
+    section = "".join(f"{name} = {value}\n" for name, value in LIMITS.record.items() if value is not None)
+    vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
+    axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:3:30:5"]
+    arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
+    assert main([*arguments, "--json", "--picture", str(tmp_path / "map.svg"), "--logs", str(tmp_path)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    cells = result["cells"]
+    assert (tmp_path / "map.svg").read_text().startswith("<?xml")
+    assert main([*arguments, "--csv", str(tmp_path / "map.csv")]) == 0
+    printed = capsys.readouterr().out
+
+    def share(one) -> str:
+        return f"{100 * sum(map(one, cells)) / len(cells):.1f} % of the cells"
+
+    firsts = [end for end in END_NAMES if end in {cell["broke_first"] for cell in cells}]
+    assert len(firsts) >= 2
+    ends = {name.removeprefix("I_").replace("_", " ") for name in recorded_runs(result["logs"]["mcap"])}
+    assert ends == {"nothing breaks", *(end.replace("-", " ") for end in firsts)}
+    agree = sum(cell["agrees"] for cell in cells)
+    expected = [
+        "how far MuJoCo is from linear analysis:",
+        f"{share(lambda cell: cell['holds'])}: linear analysis holds to 0.05 of every peak",
+        "what breaks first in MuJoCo, or ends the linear regime:",
+        f"{share(lambda cell: cell['broke_first'] is None)}: nothing breaks",
+        *(f"{share(lambda cell, end=end: cell['broke_first'] == end)}: {end} comes first" for end in firsts),
+        f"agrees: {100 * agree / 30:.2f} % of 30 cells break as linear analysis predicts"
+        + (f"; of the other {30 - agree}, none lies away from a boundary" if agree < 30 else ""),
+    ]
+    assert prose(printed).endswith(" ".join(expected))
+
+    rows = list(csv.DictReader((tmp_path / "map.csv").open()))
+    assert len(rows) == len(cells) == 30
+    for row, cell in zip(rows, cells, strict=True):
+        for name in ("height", "length", "speed", "error", "at", "predicted_at"):
+            assert row[name] == ("" if cell[name] is None else repr(cell[name]))
+        assert (row["broke_first"], row["predicted"]) == (cell["broke_first"] or "", cell["predicted"] or "")
+        assert (row["holds"], row["agrees"]) == (str(cell["holds"]), str(cell["agrees"]))
+        assert row["map_complete"] == "True"
+        shares = {end: float(row[f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}"]) for end in END_NAMES}
+        assert (max(shares.values()) >= 1) == (cell["predicted"] is not None)
+        assert cell["predicted"] is None or shares[cell["predicted"]] >= 1
+
+
+def test_picture_is_the_cells(limited, designer, cells):
+    """Every cell of the picture has the colour of what broke there first, also if the speed was asked for first."""
+    order = np.arange(len(cells.bumps)).reshape(10, 6).T.ravel()
+    arrays = {name: getattr(cells, name)[order] for name in cells.__dataclass_fields__ if name != "bumps"}
+    found = dataclasses.replace(cells, bumps=tuple(cells.bumps[i] for i in order), **arrays)
+    figure = envelope_figure(limited, designer.design("I"), found, read_axes(AXES[::-1]), {"length": 5.0}, 0.05)
+    (panel,) = figure.panels
+    ground = panel.ground
+    assert isinstance(ground, Classes)
+    assert (panel.xlabel, panel.ylabel) == ("speed [m/s]", "bump height [m]")
+    legend = dict(ground.legend)
+    for bump, first in zip(found.bumps, found.first, strict=True):
+        color = ground.colors[ground.kind[list(ground.y).index(bump.height), list(ground.x).index(bump.speed)]]
+        (label,) = [text for text, its in legend.items() if its == color and ("breaks" in text)]
+        assert label.startswith("nothing breaks" if first < 0 else f"{END_NAMES[first]} breaks first")
+    assert "force saturation breaks first (at ±1400 N)" in legend
+    assert "100 % of 60 MuJoCo runs end the linear regime as predicted" in figure.title
+    # The line lies where the linear share is one: at the height that the column's own linear run says.
+    (line,) = [curve for curve in panel.curves if curve.label == "predicted end, from one linear run"]
+    for speed in ground.x[1:-1]:
+        column = [i for i, bump in enumerate(found.bumps) if bump.speed == speed]
+        end = found.bumps[column[0]].height / found.used[column[0]].max()
+        heights = line.y[np.isclose(line.x, speed)]
+        assert np.any(np.isclose(heights, end, rtol=0.02))  # between two cells the logarithm is taken to be straight
+
+
+@pytest.mark.parametrize(
+    ("refused", "allowed", "words"),
+    [
+        ("speed:12:834:2", "speed:12:833:2", "less than two timesteps"),  # 5 m in 6 ms, two timesteps of 3 ms
+        ("speed:1.66:12:2", "speed:1.67:12:2", "more than the run of 3 s"),  # 5 m in 3 s
+    ],
+)
+def test_bumps_fit_the_run(refused, allowed, words):
+    """A bump of a little less than two timesteps, or a little more than the run, is refused; else it is not."""
+    arguments = ["--controller", "passive", "--vary", "height:0.02:0.03:2", "--timestep", "0.003"]
+    with pytest.raises(InputError, match=words):
+        main([*arguments, "--vary", refused])
+    assert main([*arguments, "--vary", allowed]) in (0, 1)

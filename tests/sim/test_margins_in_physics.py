@@ -1,0 +1,245 @@
+"""Margins and errors in MuJoCo: its runs turn from decay to growth where the loop transfer function predicts."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+import sim.studies.stability.fragility
+from models.laws.linear import LinearLaw, static_law
+from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.margins import main
+from sim.studies.stability.bisection import Bisection, run_searches
+from sim.studies.stability.fragility import find_fragility, with_errors
+from sim.studies.stability.growth_test import Growth
+from sim.studies.stability.margin_search import GainMargin, find_margins, searches
+from sim.studies.stability.report import _loop_lines, _loop_object
+from synth.controller import stability_margins
+from synth.controller.loop_transfer import loop_transfer
+from synth.controller.stability_margins import (
+    gain_crossings,
+    largest_sample_period,
+)
+from synth.vehicle.designer import certify_given, design
+from tests.conftest import recorded_runs
+from tests.support.commands import attacks
+from tests.support.shared import designed
+
+
+@pytest.mark.parametrize("expected", [3.0, 17.0, 17.5, 18.0, 200.0, math.inf])
+def test_search_does_not_believe_its_expectation(monkeypatch, expected):
+    """Physics decides where a search ends; if the expectation is right, it takes two runs."""
+    asked = []
+
+    def told(trials, timestep, progress):
+        asked.extend(trials)
+        return [Growth(amount > 17.5) for amount in trials]
+
+    monkeypatch.setattr("sim.studies.stability.bisection.grows", told)
+    search = Bisection(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
+    run_searches([search], 1.0)
+    assert (search.stable, search.unstable) == (17.0, 18.0)
+    assert expected != 17.5 or sorted(asked) == [17.0, 18.0]
+    never = Bisection(lambda amount: amount, math.inf, most=10.0, step=1.0)  # type: ignore[arg-type]
+    run_searches([never], 1.0)
+    assert never.unstable == math.inf
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("timestep", [3e-3])
+def test_margins_in_physics(capsys, tmp_path, timestep):
+    """The command finds II's margins in MuJoCo where they are predicted, agrees, draws them and records both sides of one."""
+    pytest.importorskip("matplotlib", reason="pictures are in the extra [report]")
+    asked = ["--controller", "II", "--timestep", f"{timestep}", "--json"]
+    assert main([*asked, "--picture", str(tmp_path / "m.svg"), "--logs", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    assert captured.err == ""
+    assert "</svg>" in (tmp_path / "m.svg").read_text()
+    late = round(0.0870 / timestep)
+    assert recorded_runs(result["logs"]["mcap"]) == {f"II_{late}_samples_late" for late in (late - 1, late)}
+    assert result["gain"]["predicted"] is None
+    assert result["gain"]["found"] is None
+    coarse, fine = result["gain"]["sampled"]  # the hold ends it, and at half the step physics bears twice as much
+    for sampled in (coarse, fine):
+        assert sampled["found"] == pytest.approx(sampled["predicted"], rel=5e-3)  # asked for; the section ends at 0.2 %
+    assert coarse["timestep"] == 2 * fine["timestep"] == timestep
+    assert fine["found"] == pytest.approx(2 * coarse["found"], rel=2e-2)  # first order in the step
+    assert result["delay"]["found"] == pytest.approx(0.0870, abs=1e-9)  # a sample less decays
+    assert abs(result["delay"]["found"] - result["delay"]["predicted"]) < timestep  # one sample
+    assert result["phase"]["found"] == pytest.approx(result["delay"]["found"] * result["phase"]["frequency"])
+    assert abs(result["sample_period"]["found"] - result["sample_period"]["predicted"]) < timestep
+    box = result["robustness"]
+    assert box["worst_norm"] >= max(corner["norm"] for corner in box["corners"])
+    assert len(box["corners"]) == 4
+    assert all(corner["stable"] and corner["agrees"] for corner in box["corners"])
+    assert set(box["at"]) == {"sprung_mass", "tyre_stiffness"}
+
+
+def test_one_force_sampled_in_physics():
+    """A lagging law's rear force alone bears a sample period of 85.4 ms, by 2.6 ms more than both do; so it is in MuJoCo."""
+    vehicle = read_vehicle("half_car")
+    controller, lags = designed(vehicle, "I"), np.diag([40.0, 60.0, 50.0, 70.0])
+    lagging = dataclasses.replace(controller, law=LinearLaw(-lags, lags, controller.gain, np.zeros((2, 4))))
+    assert largest_sample_period(loop_transfer(vehicle, lagging, [0, 1])) == pytest.approx(0.0828, abs=1e-4)
+    one = searches(vehicle, lagging, [1], 2e-3)
+    run_searches([one.sample_period], 2e-3)
+    assert one.predicted.sample_period == pytest.approx(0.0854, abs=1e-4)
+    assert 0 <= one.predicted.sample_period - one.found_sample_period < 2e-3  # a timestep
+    whole = dataclasses.replace(one, predicted=dataclasses.replace(one.predicted, all_sampled=True))
+    told = ["all forces sampled" in "\n".join(_loop_lines("the loop", each, None)) for each in (one, whole)]
+    assert told == [False, True]
+
+
+THROWN = {
+    "sprung_mass": 511.5,
+    "pitch_inertia": 798.2,
+    "axle_distance_front": 1.158,
+    "axle_distance_rear": 1.603,
+    **{"unsprung_mass_front": 58.42, "suspension_stiffness_front": 22290.0, "suspension_damping_front": 767.7},
+    **{"unsprung_mass_rear": 54.47, "suspension_stiffness_rear": 32400.0, "suspension_damping_rear": 759.5},
+    **{"tyre_stiffness_front": 184500.0, "tyre_stiffness_rear": 159100.0},
+}
+
+
+def test_a_margin_is_that_of_wheels_on_the_road():
+    """A force of 1.5 MN per metre at its rear axle lifts a wheel over 2 mm, and no such run grows or decays."""
+    vehicle, timestep = read_vehicle("half_car").with_parameters(**THROWN), 1e-3
+    law = static_law(np.array([[10278.0], [5003.0]]))
+    gain = searches(vehicle, certify_given(vehicle, "c", ["suspension_deflection_front"], law), [1], timestep).gain
+    run_searches([gain.search], timestep)
+    assert gain.search.found == pytest.approx(gain.sampled[0], rel=5e-3)  # asked for; the section ends at 0.2 %
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "actuators", "timestep"),
+    [
+        ("quarter_car", "I", [0], 1e-3),
+        *attacks([("quarter_car", "state", [0], 2e-3)]),  # whose sample period is any
+        ("half_car", "I", [0, 1], 3e-3),
+        ("half_car", "I", [1], 3e-3),
+    ],
+)
+def test_gain_delay_and_sample_period_in_physics(kind, name, actuators, timestep):
+    """One actuator, two with a common factor or delay, and one of two: delay and period to a sample, the gain to 0.5 %."""
+    vehicle = read_vehicle(kind)
+    one = searches(vehicle, designed(vehicle, name), actuators, timestep)
+    run_searches([one.gain.search, one.delay, one.sample_period], timestep)
+    assert abs(one.delay.unstable - one.predicted.delay) <= timestep
+    assert one.found_sample_period == pytest.approx(one.predicted.sample_period, abs=timestep)
+    assert one.gain.search.found == pytest.approx(one.gain.sampled[0], rel=5e-3)  # asked for; the section ends at 0.2 %
+
+
+def test_a_sample_period_that_sees_nothing_of_the_bump_is_not_run(paper, designer, monkeypatch):
+    """From 13.8 time constants of the vehicle on, e^-13.8 being 1e-6, no sample sees the bump: 2 s is the longest run."""
+    slowest = -float(np.linalg.eigvals(paper.linear_model.A).real.max())
+    for times, longest in ((13.8, 13.8 / slowest), (13.9, 2.0)):
+        monkeypatch.setattr(stability_margins, "largest_sample_period", lambda loop, at=times / slowest: at)
+        one = searches(paper, designer.design("I"), [0], 1e-3)
+        tried = one.sample_period.next()
+        assert max(tried) == pytest.approx(longest, abs=1e-3)  # a sample
+        one.sample_period.tried |= dict.fromkeys(tried, Growth(grows=False))
+        assert ("a longer one sees nothing of the bump" in "\n".join(_loop_lines("the loop", one, None))) == (longest == 2.0)
+
+
+def test_a_delay_that_takes_hours_is_not_run(paper):
+    """A slow integral bears minutes of delay: runs have 2 s at most, and what they do not decide is no disagreement."""
+    pid = 'measured = ["suspension_deflection"]\npid = { kp = -500, ki = -50, kd = -50, filter = 0.02 }\n'
+    vehicle = parse_vehicle(f"{paper.text}\n[controllers.slow]\n{pid}")
+    controller = design(vehicle, "slow")
+    one = find_margins(vehicle, controller, 4e-3)[""]
+    assert one.predicted.delay > 60
+    assert max(one.delay.tried) == pytest.approx(2.0)
+    assert one.agrees
+    assert math.isnan(one.found_phase)
+    assert "not found within 2 s; runs of the predicted delay" in "\n".join(_loop_lines("the loop", one, None))
+
+
+def test_an_integrator_almost_without_readings_does_not_grow(monkeypatch):
+    """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is no edge of the sampled loop."""
+    monkeypatch.setattr(sim.studies.stability.fragility, "run_searches", lambda *arguments: None)
+    pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'
+    pid += "pid = { kp = -500.0, ki = -50.0, kd = -50.0, filter = 0.02 }\n"
+    vehicle = parse_vehicle(f"{read_vehicle('half_car').text}\n[controllers.slow]\n{pid}")
+    assert find_fragility(vehicle, design(vehicle, "slow"), 5e-4).edge.sampled == (math.inf, math.inf)
+
+
+def test_infinite_margins_in_physics(paper):
+    """If |L| < 1 everywhere no delay and no sample period destabilises, and no gain but the sampling's; nor in MuJoCo."""
+    name, gain = "weak", -250.0
+    text = f'{paper.text}\n[controllers.{name}]\nmeasured = ["sprung_velocity"]\ngain = [[{gain}]]\n'
+    vehicle = parse_vehicle(text)
+    found = find_margins(vehicle, design(vehicle, name), 16e-3)[""]
+    assert found.predicted.delay == found.predicted.sample_period == found.predicted.gain == math.inf
+    assert found.delay.unstable == found.sample_period.unstable == found.gain.found == found.found_phase == math.inf
+    assert found.found_gain_lower == 0
+    assert found.agrees
+
+
+def search_that_found(amount: float) -> Bisection:
+    """A search that has ended there; nowhere if it is infinite."""
+    tried = {1.0: Growth(False)} if math.isinf(amount) else {0.9995 * amount: Growth(False), 1.0005 * amount: Growth(True)}
+    return Bisection(lambda amount: amount, amount, most=32.0, tried=tried)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("own", "sampled", "found", "agrees"),
+    [
+        (14.24, (13.62, 13.93), (13.62, 13.93), True),  # the hold's share goes with the step
+        (14.24, (13.62, 13.93), (14.1, 14.17), False),  # tends to the loop's own, but is not the sampled loop
+        (14.24, (13.62, 13.62), (13.62, 13.62), False),  # is the sampled loop, which does not tend to the loop's own
+        (104.31, (81.46, 91.47), (81.46, 91.47), True),  # an actuator's lag: the hold's share has a second power of the step, too
+        (108.0, (81.46, 91.47), (81.46, 91.47), False),  # by more than half of what the halving moved
+        (math.inf, (225.0, 450.0), (225.0, 450.0), True),
+        (math.inf, (225.0, 450.0), (225.0, 226.0), False),
+        (math.inf, (math.inf, math.inf), (20.0, 20.0), False),  # no margin was predicted, and there is one
+    ],
+)
+def test_gain_margin_is_held_against_both_loops(own, sampled, found, agrees):
+    """The margin in physics must be the sampled loop's at every step, and tend to the loop's own: one is not enough."""
+    search, finer = (search_that_found(amount) for amount in found)
+    assert GainMargin(own, sampled, search, finer).agrees is agrees
+
+
+@pytest.mark.parametrize("step", [False, True])
+def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
+    """A gain that MuJoCo has at no step of its own is extrapolated, in words and in --json; one that it ran is not."""
+    one = searches(paper, designer.design("I"), [0], 1e-3)
+    coarse, fine = (search_that_found(one.predicted.gain + away) for away in ((-0.02, -0.01) if step else (0.0, 0.0)))
+    fine = fine if step else dataclasses.replace(fine, tried={})
+    gain = GainMargin(one.predicted.gain, (coarse.found, fine.found), coarse, fine)
+    lower = dataclasses.replace(one.gain_lower, search=search_that_found(math.inf))
+    one = dataclasses.replace(one, gain=gain, gain_lower=lower)
+    (row,) = (line for line in _loop_lines("the loop", one, None) if line.startswith("  gain, factor"))
+    assert gain.found == pytest.approx(one.predicted.gain, rel=1e-6)
+    assert ("extrapolated" in row) == _loop_object(one)["gain"]["extrapolated"] == step
+
+
+def test_fragility_in_physics(paper, designer):
+    """Printed controller I dies in MuJoCo, too, where its readings are 21.03 % off, as it cancels the spring there."""
+    found = find_fragility(paper, designer.design("I_printed"), 1e-3)
+    assert found.edge.own == pytest.approx(13100 / 10824 - 1, rel=1e-8)  # eigenvalues near 0 have half the digits
+    assert found.edge.found == pytest.approx(found.edge.own, rel=2e-3)  # where the section ends
+    assert found.agrees
+    off = with_errors(designer.design("I_printed"), found.predicted, found.edge.own)
+    assert off.gain == pytest.approx(np.array([[13100.0, -2071.0 * (1 - found.edge.own)]]), rel=1e-6)  # the spring's stiffness
+    assert found.rounding["float16"].bound is not None
+    assert found.rounding["float16"].norm.value < found.rounding["float16"].bound
+
+
+@pytest.mark.attack
+def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
+    """A gain that bears any error of an actuator without lag is lost with one at 27.7 %; MuJoCo tends to that with its step."""
+    monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # what errors cost of the norm is not asked
+    vehicle = parse_vehicle(f'{paper.text}\n[controllers.strong]\nmeasured = ["sprung_velocity"]\ngain = [[-1e5]]\n')
+    slow, strong = dataclasses.replace(vehicle, limits=Limits(actuator_bandwidth=60.0)), design(vehicle, "strong")
+    assert find_fragility(vehicle, strong, 8e-3).predicted.stable.smallest_violation == math.inf
+    found = find_fragility(slow, strong, 1e-3)
+    (factor,) = (at for at in gain_crossings(loop_transfer(slow, strong, [0])) if at > 1)
+    assert found.edge.own == pytest.approx(factor - 1, rel=1e-6)  # the gain margin, by another way
+    assert found.edge.finer.tried
+    assert found.edge.found == pytest.approx(found.edge.own, rel=2e-2)  # second order in the step
+    assert found.agrees

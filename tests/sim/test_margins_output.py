@@ -1,0 +1,219 @@
+"""`sim.margins`: its words and `--json`, and the same controller on other vehicles."""
+
+import dataclasses
+import json
+import pkgutil
+import re
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.figures.figure import Curve
+from models.kinds.kind import Variation
+from models.vehicle.limits_and_implementation import Implementation, Limits
+from models.vehicle.vehicle import read_vehicle
+from sim.margins import _which_loop, main
+from sim.studies.stability.figure import margins_figure
+from sim.studies.stability.fragility import find_fragility
+from sim.studies.stability.margin_search import find_margins
+from sim.studies.stability.robustness import _worst, read_variations, robustness, varied_text
+from synth.analysis.norm import hinf_norm
+from synth.controller.problem import generalized_plant
+from synth.vehicle.designer import design
+from tests.support import pages
+from tests.support.commands import once
+
+
+def test_a_worst_norm_between_the_points_of_its_grid_is_found():
+    """From a grid's best points the worst norm of a smooth one is refined to its top, inside the box and on its side."""
+    box = [Variation("mass", 0.7, 1.4), Variation("tyre", 0.75, 1.25)]
+    for top, at in ((7.0, (1.0137, 0.9031)), (7.0 - 2 * 0.05**2, (1.0137, 1.25))):
+        tyre = 0.9031 if at[1] < 1.25 else 1.30
+        _, norms, worst, where = _worst(lambda point, t=tyre: 7.0 - (point[0] - 1.0137) ** 2 - 2 * (point[1] - t) ** 2, box)
+        assert norms.max() < worst == pytest.approx(top, rel=1e-9)
+        assert where == pytest.approx(at, abs=1e-4)
+
+
+def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
+    """The box is the one that is asked for, and its worst norm is the largest of as many vehicles as it says, no other."""
+    norms = []
+
+    def counted(system):
+        norms.append(hinf_norm(system))
+        return norms[-1]
+
+    monkeypatch.setattr("sim.studies.stability.robustness.hinf_norm", counted)
+    variations = read_variations(paper, ["suspension_damping:0.5:1.25"])
+    (box,) = robustness(paper, [designer.design("I")], 4e-3, variations=variations)
+    assert box is not None
+    assert box.holds
+    assert box.text == "suspension damping -50 to +25 %"
+    assert [corner.parameters for corner in box.corners] == [{"suspension_damping": 200.0}, {"suspension_damping": 500.0}]
+    assert box.computed == len(norms) > 81  # a grid, refined
+    assert box.norm == max(norm.value for norm in norms)
+    for factor in np.random.default_rng(20261121).uniform(0.5, 1.25, 20):
+        other = paper.with_parameters(suspension_damping=factor * paper.parameters["suspension_damping"])
+        assert hinf_norm(generalized_plant(other).closed_loop(designer.design("I").state_gain(other))).value <= box.norm
+    both = read_variations(read_vehicle("half_car"), ["tyre_stiffness:0.9:1.1"])
+    assert list(both.values()) == [("tyre_stiffness_front", "tyre_stiffness_rear")]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["mass:0.8:1.2"], "'mass' is not a parameter"),
+        (["sprung_mass:0.8:x"], "not name:low:high"),
+        (["sprung_mass:1.1:1.2"], "give one above 0 and at most 1"),
+        (["sprung_mass:0.8:1.2"] * 2, "sprung_mass is varied twice"),
+        (["sprung_mass:0.8:inf"], "give finite multiples above 0"),
+        (["sprung_mass:1:1"], "give one above 0 and at most 1"),
+        (["sprung_mass:0.8:1e12"], "--vary reaches|sprung mass varies"),
+    ],
+)
+def test_ranges_that_are_none(paper, asked, words):
+    """What cannot vary, or not so far, is refused in one line that says what may."""
+    with pytest.raises(InputError, match=words):
+        read_variations(paper, asked)
+
+
+OWN = """
+type = "{kind}"
+[parameters]
+weight = 200.0
+rate = 150000.0
+[performance]
+sprung_acceleration = 1.0
+control_force = 1e-4
+[controllers.I]
+measured = ["sprung_velocity"]
+"""
+
+
+@pytest.fixture
+def hopper(tmp_path, request):
+    """The README's hopper with parameters of other names, and what its kind says of their variation."""
+    pages.hopper(tmp_path)
+    source = (tmp_path / "hopper.py").read_text(encoding="utf-8")
+    source = source.replace('p["mass"]', 'p["weight"]').replace('p["stiffness"]', 'p["rate"]')
+    weight, rate = request.param
+    source = source.replace('"mass", "kg", "all of it"', f'"weight", "kg", "all of it"{weight}')
+    source = source.replace('"stiffness", "N/m", "of its tyre"', f'"rate", "N/m", "of its tyre"{rate}')
+    source = source.replace("import GRAVITY, ", "import GRAVITY, Variation, ")
+    (tmp_path / "hopper.py").write_text(source)
+    (tmp_path / "own.toml").write_text(OWN.format(kind="hopper"))
+    return tmp_path / "own.toml"
+
+
+@pytest.fixture
+def of_one_search(monkeypatch):
+    """Words and `--json` are of one search."""
+    for module, name in (("margin_search", "find_margins"), ("fragility", "find_fragility"), ("robustness", "robustness")):
+        path = f"sim.studies.stability.{module}.{name}"
+        monkeypatch.setattr(path, once(pkgutil.resolve_name(path)))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("hopper", [("", "")], indirect=True)
+def test_a_kind_that_varies_nothing_says_so(hopper):
+    """Nothing is claimed of other vehicles if no parameter of the vehicle type varies."""
+    vehicle = read_vehicle(hopper)
+    assert robustness(vehicle, [design(vehicle, "I")], 4e-3) == [None]
+    assert "nothing is varied" in varied_text(vehicle.kind)
+
+
+VARIED = (', varied=Variation("weight", 0.9, 1.2)', ', varied=Variation("tyre rate", 0.75, 1.0)')
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("hopper", [VARIED], indirect=True)
+def test_the_kind_says_what_varies(hopper, monkeypatch):
+    """The box, its worst norm and its words are of the parameters that the vehicle type lets vary, as far as it does."""
+    monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # errors of readings are not asked about
+    vehicle = read_vehicle(hopper)
+    controller = design(vehicle, "I")
+    (box,) = robustness(vehicle, [controller], 4e-3)
+    assert box is not None
+    assert varied_text(vehicle.kind) == "weight -10 to +20 %, tyre rate -25 to +0 %"
+    corners = {tuple(corner.parameters.items()) for corner in box.corners}
+    assert corners == {(("weight", weight), ("rate", rate)) for weight in (180.0, 240.0) for rate in (112500.0, 150000.0)}
+    assert set(box.at) == {"weight", "rate"}
+    for corner in box.corners:
+        other = dataclasses.replace(vehicle, parameters={**vehicle.parameters, **corner.parameters})
+        assert corner.norm == pytest.approx(hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value)
+        assert corner.norm <= box.norm
+    assert box.holds
+    fragile, found = find_fragility(vehicle, controller, 4e-3), find_margins(vehicle, controller, 4e-3)[""]
+    panel = margins_figure(vehicle, controller, found, fragile, box, 4e-3).panels[-1]
+    assert (panel.xlabel, panel.ylabel) == ("weight [% off]", "tyre rate [% off]")
+    drawn = [curve.x for curve in panel.curves if isinstance(curve, Curve) and curve.marker in "ox" and curve.marker]
+    assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
+
+
+def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
+    """Every number of the table with -v is that of --json, in the table's units; without, a terminal shows all."""
+    asked = ["--controller", "I", "--timestep", "4e-3"]
+
+    def words(*how: str) -> str:
+        assert main([*asked, *how]) == 0
+        return capsys.readouterr().out
+
+    brief, printed, text = words(), words("-v"), words("--json")
+    result, said = json.loads(text), " ".join(printed.split())
+    assert brief.count("\n") <= 24  # what a terminal shows
+    rows = [
+        (label, [scale * result[key][of] for of in ("predicted", "found")])
+        for label, key, scale in (
+            ("gain, factor", "gain", 1),
+            ("phase lag, rad", "phase", 1),
+            ("delay, ms", "delay", 1e3),
+            ("sample period, ms", "sample_period", 1e3),
+        )
+    ]
+    fragile, stable = result["fragility"], result["fragility"]["stable"]
+    rows.append(("of readings(?: and forces)?", [100 * stable["found"], 100 * fragile["mujoco"]]))
+    for label, numbers in rows:
+        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", printed, re.M)
+        assert [float(word) for word in line] == pytest.approx(numbers, rel=1e-5)
+    assert result["phase"]["smallest"] == result["phase"]["lead"]["predicted"] < result["phase"]["predicted"]
+    for label, value in (("phase lead, rad", result["phase"]["lead"]["predicted"]), ("disk margin", result["disk"]["margin"])):
+        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", brief, re.M)
+        assert (float(line[0]), line[1]) == (pytest.approx(value, rel=1e-5), "-")  # predicted alone
+    named = re.findall(r"(\w+) ([+-][\d.]+) %[,\s]", said[said.index("bears errors up to, %") : said.index("stable with each")])
+    assert {name: float(error) for name, error in named} == pytest.approx(
+        {name: 100 * error for name, error in stable["readings"].items()}, rel=1e-3
+    )
+    assert f"of {result['robustness']['computed']} vehicles computed, not proved between" in " ".join(brief.split())
+    ranges = re.findall(r"([\w ]+?) (-\d+) to \+(\d+) %", printed)
+    varied = {name.strip(): [1 + float(low) / 100, 1 + float(high) / 100] for name, low, high in ranges}
+    assert varied == result["robustness"]["varied"] == {"sprung mass": [0.7, 1.4], "tyre stiffness": [0.75, 1.25]}
+    masses = {corner["sprung_mass"] / paper.parameters["sprung_mass"] for corner in result["robustness"]["corners"]}
+    assert sorted(masses) == pytest.approx(varied["sprung mass"])
+
+
+@pytest.mark.parametrize(
+    ("gain", "damping", "word"),
+    [
+        (0.0, 400, "no gain"),
+        (90000.0, 400, r"not stable as it is \(unstable: a pole at 170.7 1/s\)"),
+        (-100.0, 0, r"not stable as it is \(marginal: a pole at 0\+"),
+    ],
+)
+def test_loops_without_margins(tmp_path, paper, gain, damping, word):
+    """A gain of zero makes no loop, and an unstable or marginal loop has no margin to lose."""
+    text = paper.text.replace("suspension_damping = 400", f"suspension_damping = {damping}")
+    signal = "sprung_velocity" if damping else "suspension_deflection"
+    (tmp_path / "own.toml").write_text(f'{text}[controllers.own]\nmeasured = ["{signal}"]\ngain = [[{gain}]]\n')
+    with pytest.raises(InputError, match=word):
+        main(["--controller", "own", "--vehicle", str(tmp_path / "own.toml")])
+
+
+def test_which_loop_is_said(paper):
+    """The sections of a vehicle file beyond parameters are in the margins or left out of them; it is said which."""
+    plain = _which_loop(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
+    assert plain == "the loop has no actuator lag; norms of other vehicles are of the ideal loop"
+    built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))
+    assert "has the lag of its actuators; delay and sample period below are totals" in _which_loop(built)
+    assert "left out" not in _which_loop(built)
+    blurred = dataclasses.replace(built, implementation=Implementation(noise={"sprung_velocity": 0.01}))
+    assert "noise is left out;" in _which_loop(blurred)

@@ -1,0 +1,91 @@
+"""Which controller is best: the table at the end of commands that run several, and what it says of the best."""
+
+import json
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import sim.command.comparison
+from models.vehicle.vehicle import read_vehicle
+from sim import bump, drive
+from sim.studies.ride.standing import KEYS, MEASURES, Standing, best, digits, standing, standing_lines
+from tests.support.commands import once, refused
+
+RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs"]
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "window"),
+    [
+        (drive, ["--road", "step:height=0.02", "--duration", "1"], "MuJoCo, from 0 s on"),
+        (bump, ["--duration", "1"], "MuJoCo, all of the run"),
+    ],
+)
+def test_what_is_printed_is_what_json_has(command: ModuleType, options: list[str], window: str, monkeypatch, capsys):
+    """In brief a command prints the table of `--json` alone, passive first though not asked for, and ends in the verdicts."""
+    monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
+    assert command.main([*RUN, *options, "--brief"]) == 0
+    printed = capsys.readouterr().out
+    assert command.main([*RUN, *options, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    compared = result["compared"]["controllers"]
+    assert [one["controller"] for one in compared] == ["passive", "I", "II_printed"]
+    standings = [Standing(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
+    assert "\n".join(standing_lines(standings, window)) in printed
+    assert best(standings) == result["compared"]["best"]
+    for one, run in zip(compared[1:], result["runs"], strict=True):
+        assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]
+    assert [line.split()[0] for line in printed.splitlines()[-2:]] == ["I", "II_printed"]
+    with refused("--json", "--brief"):
+        command.main([*RUN, *options, "--brief", "--json"])
+
+
+def test_a_table():
+    """The best of each column is marked, changes stand beside ride, travel and load, and who broke off has no numbers."""
+    numbers = {
+        "passive": (0.5272, 0.0735, 0.359, 0.002063, 0.0, 0.0, 0.01),
+        "I": (0.41, 0.0496, 0.371, 0.0027, 211.2, 1228.0, 0.0),
+        "a_longer_name": (None,) * 7,
+        "II": (0.4101, 0.0735, 0.36, 0.0, 99.97, 629.1, 0.0),
+    }
+    standings = [Standing(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
+    assert standing_lines(standings, "MuJoCo, from 6 s on") == [
+        "                      ride    travel tyre load    off  force   force       at",
+        "                    m/s2 % peak mm % dynamic % road %  rms N  peak N  stops %",
+        "  passive       0.527      73.5      0.359*     0.206      0       0     1.00",
+        "  I             0.410* -22 49.6* -33 0.371  +3  0.270    211    1228        0*",
+        "  a_longer_name     -         -          -          -      -       -        -",
+        "  II            0.410* -22 73.5      0.360   0      0*   100*    629*       0*",
+        "  *: the best; %: against passive; MuJoCo, from 6 s on",
+    ]
+
+
+def test_the_best_is_best():
+    """Nobody has less than the best, to the digits shown; and where all are alike, or one is alone, nobody is called best."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        values = [None if rng.random() < 0.2 else round(10 ** rng.uniform(-3, 3), 3) for _ in range(rng.integers(1, 6))]
+        names = [f"c{i}" for i in range(len(values))]
+        there = {name: value for name, value in zip(names, values, strict=True) if value is not None}
+        found = best([Standing(name, dict.fromkeys(KEYS, value)) for name, value in zip(names, values, strict=True)])
+        for one in MEASURES:
+            shown = {name: float(digits(value * one.scale)) for name, value in there.items()}
+            least = [name for name in shown if shown[name] == min(shown.values())]
+            assert found[one.key] == (least if len({*shown.values()}) > 1 else [])
+
+
+def test_no_force_is_no_merit():
+    """The passive suspension is not the best of the forces, of which it has none, but may be the best of all else."""
+    standings = [Standing("passive", dict.fromkeys(KEYS, 0.0)), *(Standing(f"c{i}", dict.fromkeys(KEYS, i)) for i in (1.0, 2.0))]
+    found = best(standings)
+    assert {key for key in KEYS if found[key] == ["c1.0"]} == {"force_rms", "force_peak"}
+    assert found["ride"] == ["passive"]
+
+
+def test_the_worst_point_counts():
+    """For a vehicle with several wheels the worst one stands in the table, whichever that is."""
+    vehicle = read_vehicle("half_car")
+    metrics = {"suspension_deflection_front_peak": 0.03, "suspension_deflection_rear_peak": 0.04, "off_ground_front": 0.1}
+    found = standing(vehicle, "I", metrics).values
+    assert (found["peak_travel"], found["off_ground"], found["at_stops"]) == (0.04, 0.1, None)

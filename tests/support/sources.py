@@ -1,0 +1,76 @@
+"""What tests ask of the product's sources, found in one pass in a session: to parse them takes seconds."""
+
+import ast
+import functools
+import gc
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.commands import ROOT
+from tests.support.shared import made
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a file says.
+
+    Attributes:
+        imported: every module that it imports, anywhere in it, with what it takes from it behind a dot. The public names of a
+            package are none of them: they are imported when they are first used, by whoever is outside.
+        names: every name and attribute in it.
+        runs_text: True if it makes code of text.
+        docstrings: of its module, classes and functions.
+        classes: its public classes.
+    """
+
+    imported: tuple[str, ...]
+    names: frozenset[str]
+    runs_text: bool
+    docstrings: tuple[str, ...]
+    classes: tuple[str, ...]
+
+
+@functools.cache
+def sources() -> Mapping[str, Source]:
+    """Returns every source of the product, by its path from the root."""
+    return made(_read)
+
+
+def _read() -> dict[str, Source]:
+    paths = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+    collecting = gc.isenabled()
+    gc.disable()  # nodes are many, and have no circles
+    try:
+        return {path.relative_to(ROOT).as_posix(): _source(path) for path in paths}
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _source(path: Path) -> Source:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = [*ast.walk(tree)]
+    documented = [node for node in nodes if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
+    calls = [node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    named = {node.id for node in nodes if isinstance(node, ast.Name)}
+    named |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    return Source(
+        tuple(_imported(path, tree, nodes)),
+        frozenset(named),
+        not {"exec", "eval", "compile"}.isdisjoint(calls),
+        tuple(text for node in documented if (text := ast.get_docstring(node))),
+        tuple(node.name for node in documented if isinstance(node, ast.ClassDef) and not node.name.startswith("_")),
+    )
+
+
+def _imported(path: Path, tree: ast.Module, nodes: list[ast.AST]) -> Iterator[str]:
+    lazy = [one for one in tree.body if isinstance(one, ast.If)] if path.name == "__init__.py" else []
+    public = {id(node) for one in lazy for node in ast.walk(one)}
+    for node in nodes:
+        if id(node) in public:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)

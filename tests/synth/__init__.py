@@ -1,0 +1,1 @@
+"""Norms, bounds, designs of controllers, and what is proved of them."""
