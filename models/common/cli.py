@@ -36,8 +36,8 @@ def run(command: str) -> "NoReturn":
         gc.set_threshold(GARBAGE)
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)  # of numpy: the command says in words what overflows
-        if hasattr(sys.stdout, "reconfigure"):
-            sys.stdout.reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
+        if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
+            reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
         code = importlib.import_module(command).main()
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()

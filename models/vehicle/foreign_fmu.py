@@ -49,7 +49,7 @@ class ForeignFmu:
             raise InputError("an FMU needs FMPy; pip install 'roadproof[fmi]'")
         if hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
             raise InputError("the FMU has changed since the vehicle file was read; run the command again")
-        import fmpy
+        import fmpy  # pyright: ignore[reportMissingImports] - an extra
 
         self._folder = TemporaryDirectory(prefix="fmu", ignore_cleanup_errors=True)
         with self._errors(f"; {GIVE}"):

@@ -118,7 +118,7 @@ campaigns                                                      3029   1654    14
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               857    405     30
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py docs/how-to/gallery.md
-margins in physics                                             2578    880     77
+margins in physics                                             2578    876     77
     sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1916    581     30
@@ -142,7 +142,7 @@ commands that drive                                            1151   1043    33
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3500    986
+house, pages, benchmarks                                          0   3498    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
     tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
