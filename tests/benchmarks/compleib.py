@@ -147,7 +147,7 @@ def _seconds(words: list[str]) -> float:
     except (IndexError, ValueError):
         dt = 0.0
     if not 0 < dt < np.inf:
-        raise InputError(f"--dt {' '.join(words)} is no sample period; give seconds above 0, such as --dt 0.02")
+        raise InputError(f"--dt {' '.join(words)} is not a sample period; give seconds above 0, such as --dt 0.02")
     return dt
 
 

@@ -64,7 +64,7 @@ preview, LQR, LQG, H2                                           640    653     4
 anti-windup, integrals, compatible options                      400   1105      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                           1012    361      0
+fixed order, PI, PID                                           1015    361      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
 goals, families, trade-off front                               4559   1670    177
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*

@@ -274,11 +274,11 @@ def test_physics_reaches_the_norm(car, name, how, bandwidth):
     assert road.timestep <= (how.sample_period or 1e-3) / 8
     sweep: Any = SimpleNamespace(road=road, sampled=SimpleNamespace(value=norm))
     assert _road_failures(sweep) == []
-    for factor, words in ((0.99, "only; the norm of the sampled loop is"), (1.001, "above the norm")):
-        sweep.road = replace(road, gain=factor * road.gain)
-        predicted, norms = _road_failures(sweep)
+    for gain, words in ((0.99 * road.gain, "only; the norm of the sampled loop is"), (1.001 * norm, "above the norm")):
+        sweep.road = replace(road, gain=gain)
+        predicted, *norms = _road_failures(sweep)
         assert "is predicted" in predicted
-        assert words in norms
+        assert (road.twisted and gain < norm) or words in norms[0]  # a road that twists is not held to reach the norm
 
 
 @pytest.mark.attack
