@@ -239,15 +239,7 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
     Raises:
         InputError: it does not exist, cannot be read, or is not text in UTF-8.
     """
-    return decoded(read_bytes(path, purpose, give), path, purpose, give)
-
-
-def decoded(content: bytes, path: Path, purpose: str, give: str = "give another file") -> str:
-    """Returns the content of a file as `read_text` does.
-
-    Raises:
-        InputError: it is not text in UTF-8.
-    """
+    content = read_bytes(path, purpose, give)
     with reading(path, purpose, give):
         text = content.decode("utf-8-sig")
         if "\0" in text:

@@ -301,11 +301,10 @@ class Designer:
         """Returns a controller that is designed in another way than by two steps."""
 
         def on_found(law: LinearLaw) -> None:
-            from synth.analysis.bounding import certify_tightly
+            from synth.analysis.norm import hinf_norm
 
-            law = law if by_force else on_readings(law, posed)
-            certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
-            on_progress(certificate.norm.value, True)
+            plant, feedback = posed.closed_loop(law if by_force else on_readings(law, posed))
+            on_progress(hinf_norm(plant.closed_loop(feedback)).value, True)
 
         by_force = entry.structure is not None and entry.structure.rows is not None
         if by_force and entry.structure is not None:
