@@ -18,8 +18,7 @@ ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 
 
 def run(command: str) -> "NoReturn":
-    """Runs `main` of a command's module and exits with the code that it returns; 2 for bad input, 130 for Ctrl-C, 1 for any other
-    error.
+    """Runs `main` of a command's module and exits with the code that it returns; 2 for bad input, 130 for Ctrl-C, else 1.
 
     With `--traceback` the error is raised, which shows where it came from.
 
@@ -46,6 +45,7 @@ def run(command: str) -> "NoReturn":
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done
+    exec("")  # CPython remembers an interrupt inside an `exec`, as of a dataclass, and would end by the signal after all
     sys.exit(code)
 
 

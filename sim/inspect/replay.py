@@ -85,7 +85,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run, driven by its exported code if the log says so; the code is made anew.
+    """Returns the controller of a run, driven by its exported code, which is made anew, if such code drove the run.
 
     Raises:
         InputError: it is not a controller of this vehicle, or there is no such code of it.

@@ -55,7 +55,7 @@ class Scope:
         quick: without margins, map and ride.
         progress: is told what is being done.
         laws: those in Python, and semi-active ones, of which it does not.
-        front: the axes of a trade-off, as `--front` has them; None without one.
+        front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: that are put on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
         own_road: the road that all is driven over in place of the paper's bump; None for that.
