@@ -64,7 +64,7 @@ class Computer:
         self._places, self._signals = [whole.index(name) for name in self.driver.measured], len(names)
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
-        """Sets the commands of timestep k, shape (N, size), from the signals and closing velocities at its start, shape (N, S)."""
+        """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
         sample, phase = divmod(k, self.period)
         if not phase:
             seen = signals[self.runs]

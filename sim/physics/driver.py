@@ -280,7 +280,7 @@ def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], t
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller: without the delay that an FMU has in itself, and none for known commands."""
+    """Returns the implementation around a controller: without an FMU's own delay, and none for known commands."""
     how = vehicle.implementation
     if isinstance(controller, RecordedForces):
         return Implementation()

@@ -214,7 +214,7 @@ class _Loop:
     ) -> list[Computer]:
         """Returns the started computers of some runs: one per kind of driver and sample period."""
         course, timestep = self.course, self.course.timestep
-        groups: dict[tuple[object, ...], list[int]] = {}
+        groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
             if one is not None:
                 groups.setdefault((_kind(one), steps_per_sample(implementation, timestep)), []).append(i)
@@ -245,7 +245,7 @@ class _Loop:
         return computers
 
     def _map(self, actuators: Actuators) -> Array:
-        """Returns the map from a reading, (qpos, qvel) and some of `sensordata`, to the measured signals and closing velocities."""
+        """Returns the map from a reading, (qpos, qvel) and part of `sensordata`, to measured signals and closing velocities."""
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]
         signals = np.concatenate(
