@@ -89,6 +89,7 @@ def check_responses(recorded: RecordedRun, replay: Replay) -> Iterator[Finding]:
     run, states = replay.run, kept(replay.run.controller)
     end = run.broke_off[1] if run.broke_off else math.inf
     new = {MUJOCO: replay.physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
+    new = {topic: response for topic, response in new.items() if topic == MUJOCO or not np.isnan(response.values).all()}
     wrong, worst = [], 0.0
     for topic, response in new.items():
         logged, until = as_response(run.vehicle, recorded, topic, run.prediction.timestep, states), math.inf

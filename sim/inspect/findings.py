@@ -13,7 +13,8 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins", "code_difference")  # keys that older logs may lack
+SINCE = ("until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference")  # keys that older logs may lack
+GONE = ("geometry", "otherwise", "played")  # keys of older logs alone
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -87,7 +88,7 @@ def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -
         elif key not in SINCE:
             yield f"{here} is missing"
     for key in said:
-        if key not in now:
+        if key not in now and key not in GONE:
             yield f"{path + '.' if path else ''}{key} is unknown"
 
 

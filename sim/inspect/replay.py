@@ -25,14 +25,14 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle
 from models.vehicle.vehicle import kinds as kind_names
 from sim.inspect.log import Log, RecordedRun
 from sim.linear.dampers import command_names
+from sim.physics.driver import RecordedForces, RunDriver
 from sim.physics.simulate import simulate
 from sim.recording.run_log import MUJOCO
 from sim.response.response import Response
 from sim.runs.forces import read_forces
-from sim.runs.prediction import predict, predict_replayed
-from sim.runs.run import Run, compare_runs, driver_again, with_energy_balance
+from sim.runs.prediction import predicted
+from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import Controller, Driver, verify_record
-from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -44,8 +44,8 @@ class Replay:
     """A logged run, made again.
 
     Attributes:
-        run: the logged physics, compared with the new prediction; its energy balance is the new run's.
-        physics: MuJoCo's new run.
+        run: the new run, with its verdict and energy balance.
+        physics: MuJoCo's new response.
     """
 
     run: Run
@@ -150,18 +150,15 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> 
         raise InputError(f"its samples are not {timestep:g} s apart from 0 on")
     points = log.attached(run, "road_file") if "road_file" in run.claims else None
     road = RoadInput(vehicle, described_road(run.claim("road"), points), time)
-    physics = as_response(vehicle, run, MUJOCO, timestep, kept(controller))
-    if isinstance(controller, Controller) and not vehicle.dampers:
-        prediction = predict(LoopModel(vehicle, controller, road.timestep), road, MOST_STATES)
-    else:
-        forces = np.zeros((0, 0))
-        if isinstance(controller, Programmed):
-            forces = read_forces(log.attached(run, "forces_file"), command_names(vehicle), len(time))
-        prediction = predict_replayed(controller, road, physics, forces)
-    (compared,) = compare_runs([prediction], [physics])
-    again = simulate([driver_again(prediction, time)], [RoadInput(vehicle, compared.road, time)])
-    (compared,) = with_energy_balance([compared], again)
-    return Replay(compared, again.run(0))
+    driver: RunDriver = controller
+    if isinstance(controller, Programmed):
+        forces = read_forces(log.attached(run, "forces_file"), command_names(vehicle), len(time))
+        driver = RecordedForces(controller.measured, forces)
+    made = simulate([driver], [road])
+    prediction = predicted(controller, road, made.requested_force[0], MOST_STATES)
+    prediction = replace(prediction, replayed=isinstance(controller, Programmed))
+    (compared,) = with_energy_balance(compare_runs([prediction], made), made)
+    return Replay(compared, made.run(0))
 
 
 def kept(controller: Driver) -> tuple[Signal, ...]:

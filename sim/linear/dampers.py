@@ -108,14 +108,3 @@ def command_names(vehicle: Vehicle) -> tuple[str, ...]:
         return forces
     beyond = (f"{coefficients[force]}_beyond_nominal" if force in coefficients else force for force in forces)
     return (*beyond, *(f"missing_{force}" for force in forces))
-
-
-def scaled_commands(vehicle: Vehicle, commands: Array, factor: float) -> Array:
-    """Returns the commands for a scaled road: forces scale with the road, damper coefficients stay.
-
-    Args:
-        commands: forces, shape (T, m), or with adjustable dampers commands, shape (T, 2 m).
-    """
-    forces = vehicle.linear_model.inputs
-    factors = [1.0 if i < len(forces) and forces[i] in vehicle.dampers else factor for i in range(commands.shape[1])]
-    return commands * np.array(factors)

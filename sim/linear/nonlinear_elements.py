@@ -77,27 +77,3 @@ def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows, lines = model.C[index], np.zeros(len(curved))
     return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.jump, push, outputs)
-
-
-def with_dampers(curved: Elements, vehicle: Vehicle) -> Elements:
-    """Returns the elements followed by the adjustable dampers of a vehicle, on its own linear model."""
-    from sim.linear.dampers import stretching
-
-    model, some = vehicle.linear_model, adjustable_inputs(vehicle)
-    rows = stretching(vehicle)[some]
-    return Elements(
-        (
-            *curved.curves,
-            *(None if adjustable.damper.pair is None else adjustable.damper.pair.shape for adjustable in vehicle.adjustable),
-        ),
-        np.concatenate([curved.lines, np.ones(len(some))]),
-        np.concatenate([curved.rows, rows]),
-        np.concatenate([curved.of_road, rows @ model.jump]),
-        np.concatenate([curved.push, -model.B[:, some]], axis=1),
-        np.concatenate([curved.outputs, np.zeros((len(model.C), len(some)))], axis=1),
-    )
-
-
-def adjustable_inputs(vehicle: Vehicle) -> list[int]:
-    """Returns the indices of the linear model's inputs that are adjustable dampers."""
-    return [vehicle.linear_model.inputs.index(adjustable.force) for adjustable in vehicle.adjustable]

@@ -83,27 +83,6 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 
 
-def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict[str, float]:
-    """Returns the rounding errors in a run of an unstable loop, which propagates them so that they grow in each signal."""
-    loop, linear, shaken = model.closed_loop, model.open_loop.model, _shaken(model.vehicle)[1]
-    rows = np.eye(len(linear.A), len(loop.transition))
-    rows = linear.C @ rows + linear.D @ loop.parts[0].inputs
-    # Of delayed forces all but those computed last are moved up, and all but those that act next act on nothing yet.
-    size, forces = len(loop.transition), model.open_loop.forces
-    computed = np.r_[: len(linear.A), max(len(linear.A), size - forces) : size]
-    acts = np.flatnonzero(np.any(loop.transition[computed], axis=0) | np.any(rows, axis=0))
-    moved, rows = loop.transition[np.ix_(computed, acts)], rows[:, acts]
-    state, most = np.eye(size, len(shaken)) * shaken, np.zeros(len(rows))
-    seen = state[acts]
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(samples // model.steps):
-            state[: size - forces] = state[forces:]
-            state[computed] = moved @ seen
-            seen = state[acts]
-            most = np.fmax(most, np.abs(rows @ seen).sum(axis=1))
-    return {name: max(far, float(more)) for (name, far), more in zip(rounding.items(), most, strict=True)}
-
-
 def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
     """Returns the fastest rate [rad/s], and the effect of rounding on every state, shape (n,)."""
     model, kind = vehicle.linear_model, vehicle.kind

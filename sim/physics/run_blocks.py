@@ -19,7 +19,7 @@ from models.vehicle.limits_and_implementation import Implementation, steps_per_s
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
-from sim.physics.actuators import Actuators
+from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer
 from sim.physics.driver import (
     Driver,
@@ -54,6 +54,9 @@ class Block:
         overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
         requested_force: commands of the actuators, see `sim.physics.actuators`, shape (B, N, m) or (B, N, 2 m).
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
+        measured: signals at the controllers' samples as they are read, without noise and quantisation, then closing velocities,
+            shape (B, N, s); NaN at the other timesteps.
+        names: names of `measured`.
     """
 
     start: int
@@ -64,6 +67,8 @@ class Block:
     overflowed: Array
     requested_force: Array
     kept: Array
+    measured: Array
+    names: tuple[str, ...]
 
     def diverged(self, time: Array) -> Array:
         """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
@@ -284,7 +289,8 @@ class _Loop:
         batch.forward(stage=stage)
         nq, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], of_reading.shape[2]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
-        signals, periods = np.zeros((count, 0)), {one.period for one in (*computers, *undelayed)}
+        periods = {one.period for one in (*computers, *undelayed)}
+        names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))
         states = max((one.used.shape[1] for one in computers), default=0)
         for start, end in itertools.pairwise(course.edges):
             block, length = slice(start, end), end - start
@@ -294,7 +300,7 @@ class _Loop:
             readings, requested = np.empty((length, count, width)), np.empty((length, count, actuators.size))
             roads, sensed = np.zeros((length, *heights.shape)), np.empty((length + 1, *sensors.shape))
             roads[..., readout.mocap], sensed[0] = midway[block], sensors
-            kept = np.zeros((length, count, states))
+            kept, seen = np.zeros((length, count, states)), np.full((length, count, of_reading.shape[1]), np.nan)
             acts = np.empty((length if actuators.lags else 0, *activations.shape))
             for i in range(length):
                 if stopped():
@@ -308,14 +314,14 @@ class _Loop:
                 if stage:
                     reading[:, moved:] = measured
                 if any(not k % period for period in periods):
-                    signals = np.matvec(of_reading, reading)
-                    signals += unread[i]
+                    np.matvec(of_reading, reading, out=seen[i])
+                    seen[i] += unread[i]
                 for computer in computers:
-                    computer.step(k, signals, commands)
+                    computer.step(k, seen[i], commands)
                 acting = commands
                 if undelayed:
                     for computer in undelayed:
-                        computer.step(k, signals, more)
+                        computer.step(k, seen[i], more)
                     acting = commands + more
                 requested[i] = acting
                 actuators.apply(controls, acting)
@@ -341,7 +347,8 @@ class _Loop:
                 sensed[1:, early] = sensed[:-1, early]
             values = recorder.signals(sensed[1:], level, midway[block], before, requested, acts)
             largest, overflowed = recorder.extremes(values, requested, kept)
-            yield Block(start, values, readings[..., :nq], readings[..., nq:moved], largest, overflowed, requested, kept)
+            positions, velocities = readings[..., :nq], readings[..., nq:moved]
+            yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names)
 
 
 def _kind(controller: RunDriver) -> tuple[object, ...]:

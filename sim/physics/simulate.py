@@ -10,7 +10,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -47,6 +47,8 @@ class PhysicsRuns:
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
             infinite where they ran away, else NaN.
         states: the signals of each controller's states.
+        measured: signals at the controllers' samples, see `Block.measured`, shape (N, T, s).
+        names: names of `measured`.
     """
 
     response: Response
@@ -57,11 +59,33 @@ class PhysicsRuns:
     requested_force: Array
     kept: Array
     states: Sequence[tuple[Signal, ...]]
+    measured: Array
+    names: tuple[str, ...]
 
     def run(self, index: int) -> Response:
         """Returns one run: the vehicle's signals, then the states of its controller."""
         states = self.states[index]
         return self.response.run(index).beside(states, self.kept[index, :, : len(states)])
+
+    def commanded(self, index: int) -> "Commanded":
+        """Returns what the controller of one run measured and commanded."""
+        kept = self.kept[index, :, : len(self.states[index])]
+        return Commanded(dict(zip(self.names, self.measured[index].T, strict=True)), self.requested_force[index], kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Commanded:
+    """What the controller of one run measured and commanded.
+
+    Attributes:
+        measured: each signal, and closing velocity, at the controller's samples, see `Block.measured`, shape (T,).
+        commands: commands of the actuators at every timestep, see `sim.physics.actuators`, shape (T, m) or (T, 2 m).
+        states: states of a linear law at its last sample, shape (T, k).
+    """
+
+    measured: Mapping[str, Array]
+    commands: Array
+    states: Array
 
 
 def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
@@ -104,7 +128,8 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
     kept[time >= diverged[:, None]] = np.nan
     kept[(time >= diverged[:, None]) & block.ran_away[:, None]] = np.inf
-    return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, requested, kept, states)
+    measured = block.measured.swapaxes(0, 1)
+    return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, requested, kept, states, measured, block.names)
 
 
 def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
@@ -127,8 +152,9 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept")
-    return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
+    names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept", "measured")
+    arrays = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names)
+    return Block(0, values, *arrays, blocks[0].names)
 
 
 def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:

@@ -6,7 +6,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.common.printed import Column, as_name
+from models.common.printed import Column, as_name, cell
 from models.figures.figure import Curve, Figure, Panel
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
@@ -156,21 +156,22 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     rows, kinds = [], set()
     for run, fine in zip_longest(runs, finer):
-        geometry = any(signal.small is not None for signal in run.agreement.signals.values())
-        kinds.add("noise" if run.agreement.blurred else "geometry" if geometry else "exact")
+        cause = run.prediction.cause
+        kinds.add("noise" if run.prediction.is_blurred else "geometry" if cause else "exact")
         for name, signal in run.agreement.signals.items():
             half = None if fine is None else fine.agreement.signals[name]
-            exact = not run.agreement.blurred and signal.small is None
             # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
             rows.append(
                 (
                     run.controller.name,
                     name.replace("_", " "),
-                    f"{signal.sampled:.1e}",
-                    f"{signal.allowed:.1e}" if signal.small is None else "geometry",
-                    _order(signal.sampled, half.sampled) if half is not None and exact else "-",
+                    cell(signal.sampled, ".1e"),
+                    cell(signal.allowed, ".1e") if not cause else cause,
+                    _order(signal.sampled, half.sampled) if half is not None and not cause else "-",
                     f"{signal.continuous:.1e}" if not scope.is_nonlinear else "-",
-                    _order(signal.continuous, half.continuous) if half is not None and exact and _settles(scope, run) else "-",
+                    _order(signal.continuous, half.continuous)
+                    if half is not None and not cause and _settles(scope, run)
+                    else "-",
                 )
             )
     headings = ("controller", "signal", "to sampled", "allowed", "its order", "to continuous", "order of that")
@@ -188,14 +189,12 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if "noise" in kinds:
         text.append(
-            f"Controllers that measure with {scope.vehicle.implementation.noise_text} make MuJoCo another run at every "
-            "step: it is "
-            "held to six of the standard deviations that are predicted of that, and the difference has no order."
+            f"A controller that measures with {scope.vehicle.implementation.noise_text} moves MuJoCo away from the sampled "
+            "response, which has no such errors. This difference has no order."
         )
     if "geometry" in kinds:
         text.append(
-            "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the road, and "
-            "so it was tried, at a hundredth of it."
+            "A body that turns is not linear. That difference does not shrink with the step, but with the height of the road."
         )
     if scope.is_nonlinear:
         text.append(

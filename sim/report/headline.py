@@ -166,16 +166,8 @@ def left_out(scope: Scope) -> list[Statement]:
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
     """Describes how closely the runs agree that agree throughout."""
     some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
-    words = []
-    if any(one.blurred for one in some):
-        words.append(f"to within the predicted spread of its {scope.vehicle.implementation.noise_text}")
-    geometry = [signal.sampled for one in some for signal in one.signals.values() if signal.small is not None]
-    if geometry:
-        words.append(f"to first order, as bodies turn: within {at_most(max(geometry))} of a peak")
-    exact = [signal.sampled for one in some if not one.blurred for signal in one.signals.values() if signal.small is None]
-    if exact and not geometry:
-        words.append(f"{'else ' if words else ''}within {at_most(max(exact))} of a peak")
-    return f", {', '.join(words)}" if words else ""
+    off = [signal.sampled for one in some for signal in one.signals.values() if math.isfinite(signal.sampled)]
+    return f", within {at_most(max(off))} of a peak" if off else ""
 
 
 def what_ended(run: Run) -> str:

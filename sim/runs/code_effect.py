@@ -52,20 +52,6 @@ class CodeEffect:
         """Returns the root mean square of the difference of a signal."""
         return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
 
-    def spread(self, samples: int) -> dict[str, Array]:
-        """Returns the difference of each signal that is due to rounding, at so many samples; empty in double."""
-        if self.numbers == "double":
-            return {}
-        return {name: np.pad(far, (0, samples - len(far))) for name, far in self.apart.items()}
-
-    @property
-    def agreement(self) -> str:
-        """Returns a sentence on the code's run if it agrees."""
-        return (
-            f"the run with the code differs from that of the law by {self.share:.1e} of a peak at most ({self.signal}; {MOST:g} "
-            "is allowed)"
-        )
-
     @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""

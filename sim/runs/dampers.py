@@ -1,4 +1,4 @@
-"""Adjustable dampers in a run: the requested force that they did not give, and decisions that rounding made."""
+"""Adjustable dampers in a run: the requested force that they did not give."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,7 +12,6 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import bent_velocities, commands_of, squarable, stretching
 from sim.response.regime import MISSED
 from sim.response.response import Response
-from sim.runs.prediction import Prediction
 
 
 @dataclass(frozen=True)
@@ -58,17 +57,14 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     return by_force
 
 
-def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
+def dampers_object(vehicle: Vehicle, physics: Response) -> dict[str, Any]:
     """Returns the results of a run's adjustable dampers as a JSON object."""
-    short = {name: asdict(one) for name, one in shortfalls(prediction.vehicle, physics).items()}
-    return {"shortfall": short, "otherwise": [asdict(one) for one in prediction.otherwise], "played": prediction.played}
+    return {"shortfall": {name: asdict(one) for name, one in shortfalls(vehicle, physics).items()}}
 
 
-def damper_lines(prediction: Prediction, physics: Response, until: float) -> list[str]:
-    """Returns sentences on the dampers, with decisions before a time [s] at which the comparison ends; empty without dampers."""
-    vehicle, lines = prediction.vehicle, []
-    otherwise = [one for one in prediction.otherwise if one.time < until]
-    names = {one.force: one.coefficient for one in vehicle.adjustable}
+def damper_lines(vehicle: Vehicle, physics: Response) -> list[str]:
+    """Returns sentences on the force that adjustable dampers did not give; empty without such dampers."""
+    names, lines = {one.force: one.coefficient for one in vehicle.adjustable}, []
     for force, one in shortfalls(vehicle, physics).items():
         if one.late:
             lines.append(f"with its valve's lag {names[force]} leaves out {percent(one.late)} (rms) of the force asked of it")
@@ -77,15 +73,4 @@ def damper_lines(prediction: Prediction, physics: Response, until: float) -> lis
                 f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; of the force asked of it, "
                 f"{percent(one.rms)} (rms) cannot be given, at {percent(one.time)} of the samples"
             )
-    if otherwise:
-        first, count = otherwise[0], len(otherwise)
-        how = "1 decision differs" if count == 1 else f"{count} decisions differ"
-        most = max(mismatch.margin for mismatch in otherwise)
-        lines.append(
-            f"{how} from those of the exact response, first of {names[first.force]} at {first.time:.4g} s, and physics is "
-            f"followed there: a change of what is decided on by {most:.0e} of its peak makes the other decision"
-        )
-    if prediction.played:
-        why = vehicle.implementation.noise_text or prediction.controller.kind
-        lines.append(f"the exact response takes over what physics decided, with {why}")
     return lines

@@ -27,8 +27,9 @@ from sim.response.regime import (
     broken_by,
     departures,
 )
-from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
+from sim.runs.agreement import COARSEST, SMALL, Agreement
 from sim.runs.code_effect import code_object
+from sim.runs.commands import CommandAgreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver, has_anti_windup
@@ -78,9 +79,6 @@ NO_CLAIM = "no linear claim: {kind}"
 NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
 LOST = "beyond its equations"
 NO_STATE = "a strut has no length left, or the body lies over"
-NOT_GEOMETRY = 0.01  # share of a difference; a sentence leaves out smaller parts
-STEP_BY_STEP = ", and step by step "
-STEPS_TOO = f"{STEP_BY_STEP}throughout"
 FEW = 3  # controllers with a line of their own; from more on, the answer would not fit a terminal
 WHEN = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 MOST_FLIGHTS = 4  # flights of a run that are listed one by one
@@ -101,7 +99,6 @@ def run_object(run: Run) -> dict[str, Any]:
                 "error": {
                     "sampled": finite(signal.sampled),
                     "continuous": finite(signal.continuous),
-                    "geometry": None if signal.geometry is None else finite(signal.geometry),
                 },
             }
             for name, signal in agreement.signals.items()
@@ -110,6 +107,8 @@ def run_object(run: Run) -> dict[str, Any]:
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
         "steps": steps_object(agreement.steps),
+        "commands": commands_object(agreement.commands),
+        "cause": agreement.cause,
         **_stops_object(run),
         **_dampers_object(run),
         **code_object(run.prediction.code_effect),
@@ -122,6 +121,14 @@ def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] 
     if steps is None:
         return None
     return {"agrees": steps.agrees, **{name: finite(getattr(steps, name)) for name in ("error", "allowed", "since", "until")}}
+
+
+def commands_object(commands: CommandAgreement | None) -> dict[str, float | bool | None] | None:
+    """Returns the comparison of commands with the control law as a JSON object, or None if the law is not known."""
+    if commands is None:
+        return None
+    numbers = {name: finite(getattr(commands, name)) for name in ("error", "allowed", "since")}
+    return {"agrees": commands.agrees, "repeatable": commands.repeatable, **numbers}
 
 
 def _margins_object(run: Run) -> dict[str, Any]:
@@ -152,7 +159,7 @@ def _dampers_object(run: Run) -> dict[str, Any]:
         return {}
     from sim.runs.dampers import dampers_object
 
-    return {"dampers": dampers_object(run.prediction, run.physics)}
+    return {"dampers": dampers_object(run.vehicle, run.physics)}
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
@@ -200,13 +207,10 @@ def claims(controller: Driver) -> str:
 def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
     """Returns sentences on a controller beside its gain."""
     if isinstance(controller, SemiActive):
-        return [NO_CLAIM_OF_SWITCHING, "sampled and continuous are the exact response of the system that it switches at samples"]
+        return [NO_CLAIM_OF_SWITCHING]
     if not isinstance(controller, Controller):
-        what = "with the coefficients" if vehicle.dampers else "under the forces"
-        return [
-            NO_CLAIM.format(kind=controller.kind),
-            f"sampled and continuous are the linear vehicle's {what} that the law asked for",
-        ]
+        forced = ["sampled and continuous are the linear vehicle's under the forces that the law requested"]
+        return [NO_CLAIM.format(kind=controller.kind), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -227,30 +231,52 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
 
 
 def verdict(run: Run) -> str:
-    """Returns the verdict on physics against analysis, and the energy balance, in a few words."""
-    agreement = run.agreement
-    if math.isfinite(agreement.until):
-        ended = [name for name, when in agreement.ended.items() if when == agreement.until]
-        ended = [_stop_names(run, agreement.until) if name == BUMP_STOP.name else name for name in ended]
-        other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
-        why = ended or [other]
-        when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
-    else:
-        why, when = [], "throughout"
-    order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
-    words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
-    if agreement.agrees and agreement.steps is not None and agreement.steps.until > agreement.until:
-        words += f"{STEP_BY_STEP}{_end(agreement.steps)}"
-    elif not agreement.step_by_step:
-        words = "DOES NOT AGREE step by step"
-    if agreement.until <= 0:
-        words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
+    """Returns the verdict on physics, the range of linear analysis, and the energy balance, in a few words."""
+    agreement, words = run.agreement, []
     if run.physics.ran_away and not run.passed:
         return f"LAW OVERFLOW at {run.diverged:.4g} s: rounding decides the forces of this law; the physics is not judged"
+    if not agreement.step_by_step and agreement.steps is not None:
+        words.append(f"DOES NOT AGREE step by step from {agreement.steps.since:.4g} s on ({agreement.steps.signal})")
+    if not agreement.commanded and agreement.commands is not None:
+        words.append(f"COMMANDS ARE NOT THE LAW'S from {agreement.commands.since:.4g} s on ({agreement.commands.signal})")
+    if agreement.code_effect is not None and not agreement.code_effect.holds:
+        words.append("DOES NOT AGREE with the law of its code")
+    if not agreement.follows_linear:
+        words.append(f"DOES NOT AGREE with linear analysis {_when(run)}")
+    if not words and not agreement.agrees:
+        words.append("NOTHING COMPARED")
+    if not words:
+        words += ["agrees", _linear_range(run)]
+    if agreement.coarse:
+        words.append("the timestep is too coarse for accurate numbers")
     if run.energy is not None:
-        words += f"; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
-    later = run.physics.ran_away and run.diverged > agreement.until
-    return f"{words}; {LAW_OVERFLOW} at {run.diverged:.4g} s" if later else words
+        words.append(f"energy {_balance(run.energy)}")
+    if run.physics.ran_away and run.diverged > agreement.until:
+        words.append(f"{LAW_OVERFLOW} at {run.diverged:.4g} s")
+    return "; ".join(words)
+
+
+def _balance(energy: Energy) -> str:
+    """Returns whether energy balances, in words."""
+    return "balances" if energy.balances else "DOES NOT BALANCE"
+
+
+def _linear_range(run: Run) -> str:
+    """Returns how long linear analysis applies, in words."""
+    if not run.prediction.is_linear:
+        return "no linear reference"
+    return f"linear analysis applies {_when(run)}"
+
+
+def _when(run: Run) -> str:
+    """Returns the time until which linear analysis applies, and what ends it."""
+    agreement = run.agreement
+    if not math.isfinite(agreement.until):
+        return "throughout"
+    ended = [name for name, when in agreement.ended.items() if when == agreement.until]
+    ended = [_stop_names(run, agreement.until) if name == BUMP_STOP.name else name for name in ended]
+    other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
+    return f"until {agreement.until:.4g} s ({' and '.join(ended or [other])})"
 
 
 def summary_lines(runs: Sequence[Run], short: bool = False) -> list[str]:
@@ -262,7 +288,7 @@ def summary_lines(runs: Sequence[Run], short: bool = False) -> list[str]:
     width = max(len(run.controller.name) for run in runs)
     verdicts = [(run.controller.name, f"{_unstable(run)}{verdict(run)}") for run in runs]
     if short:
-        verdicts = [(name, words.removesuffix("; energy balances").replace(STEPS_TOO, "")) for name, words in verdicts]
+        verdicts = [(name, words.removesuffix("; energy balances")) for name, words in verdicts]
         return [
             *shared_lines(verdicts),
             *["energy balances in every run"] * all(run.energy and run.energy.balances for run in runs),
@@ -321,8 +347,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 def verdict_lines(run: Run) -> list[str]:
     """Returns the verdict on physics against analysis in sentences."""
-    agreement, blur, lines = run.agreement, run.prediction.blur_text, []
-    noise = run.vehicle.implementation.noise_text
+    agreement, lines = run.agreement, list[str]()
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
@@ -339,8 +364,6 @@ def verdict_lines(run: Run) -> list[str]:
         )
     elif run.half_step is not None:
         lines.append("after lift-off the physics is good for nothing: at half the step it diverges")
-    elif agreement.lift_off and agreement.blurred:
-        lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
     times = agreement.ended
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
@@ -357,100 +380,77 @@ def verdict_lines(run: Run) -> list[str]:
     if run.vehicle.dampers:
         from sim.runs.dampers import damper_lines
 
-        lines += damper_lines(run.prediction, run.physics, agreement.until)
-    when = "throughout"
+        lines += damper_lines(run.vehicle, run.physics)
     if times[FLAT.name] == agreement.until < math.inf:
         lines.append(
-            f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
+            f"flat: a tyre is compressed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
             "no model of it holds from there"
         )
     if agreement.lost:
         lines.append(f"{LOST}: from {agreement.until:.4g} s on {NO_STATE}; what MuJoCo does there is compared with nothing")
-    if math.isfinite(agreement.until):
-        why = (
-            ""
-            if agreement.lost or agreement.until in (*times.values(), run.diverged)
-            else ": within a step, a tyre may leave the road there"
-        )
-        lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
-        when = f"until {agreement.until:.4g} s"
-    if agreement.until <= 0:
-        return [*lines, "NOTHING COMPARED: there is no time at which the linear comparison applies"]
-    worst = max(agreement.signals, key=lambda name: agreement.signals[name].excess)
-    error = agreement.signals[worst]
-    difference, allowed = error.judged
-    small = f"{SMALL:g} of this road's height{' and loads' * run.road.loaded}"
-    where = "" if error.small is None else f" at {small}"
-    numbers = f"worst {worst}, {difference:.1e} of its peak{where}; {allowed:.1e} is allowed"
-    if agreement.agrees and error.small is not None:
-        worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
-        error = agreement.signals[worst]
-        geometry = f"geometry and {blur} make" if agreement.blurred else "geometry makes"
-        with_it, is_it = (f" and {noise}", "is within") if noise else ("", f"follows {_reference(run)} to")
-        off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
+    return [*lines, *_check_lines(run), *_linear_lines(run)]
+
+
+def _check_lines(run: Run) -> list[str]:
+    """Returns a sentence on each of the two checks: steps against equations, and commands against the control law."""
+    agreement, lines = run.agreement, []
+    steps, commands = agreement.steps, agreement.commands
+    if steps is None:
         lines.append(
-            f"agrees to first order {when}: {geometry} up to {off:.1e} of a peak ({worst}); at "
-            f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
+            "no step is compared: this vehicle type has no equations of motion (`motion`)"
+            + (f"; it is compared to first order, at {SMALL:g} of this road's height" if _first_order(agreement) else "")
         )
-    elif agreement.agrees and run.prediction.rounding_text:
-        assert agreement.code_effect is not None, "code drives the run"
-        law = f"the run with the law itself agrees with {_reference(run)}"
-        lines.append(f"agrees {when}: {law}, and {agreement.code_effect.agreement}")
-    elif agreement.agrees and agreement.blurred:
-        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {noise} ({numbers})")
-    elif agreement.agrees:
-        lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
-    elif error.excess > 1:
-        why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
-        lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
+    elif steps.until > 0:
+        numbers = f"largest difference {steps.error:.1e} of a peak ({steps.signal}), {steps.allowed:.0e} is allowed"
+        verb = "equals" if steps.agrees else f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step equals"
+        what = "one RK4 step of the vehicle's nonlinear equations from the same state"
+        lines.append(f"{'every MuJoCo step ' * steps.agrees}{verb} {what} {_end(steps)}: {numbers}")
+    if commands is not None and not commands.repeatable:
+        lines.append(
+            "the control law is not repeatable: started again on the same measurements, it answers differently each time"
+        )
+    elif commands is not None:
+        numbers = f"largest difference {commands.error:.1e} of a peak ({commands.signal}), {commands.allowed:.0e} is allowed"
+        verb = "every command equals" if commands.agrees else "COMMANDS ARE NOT THE LAW'S: not every command equals"
+        lines.append(f"{verb} the control law evaluated on the run's measurements: {numbers}")
     if agreement.code_effect is not None:
         lines += agreement.code_effect.failures
-    return [*lines, *_no_geometry(agreement), *_step_lines(run)]
+    return lines
 
 
-def _no_geometry(agreement: Agreement) -> list[str]:
-    """Returns a sentence on a difference from the linear response that is not due to geometry, if there is one."""
-    rest = {name: each.sampled - each.geometry for name, each in agreement.signals.items() if each.geometry is not None}
-    if agreement.agrees or not rest:
-        return []
-    worst = max(rest, key=lambda name: rest[name])
-    signal = agreement.signals[worst]
-    if rest[worst] <= NOT_GEOMETRY * signal.sampled:
-        return []
-    return [
-        f"DOES NOT AGREE: MuJoCo is {signal.sampled:.1e} of a peak off the linear response ({worst}), where geometry makes "
-        f"about {signal.geometry:.1e}"
-    ]
+def _first_order(agreement: Agreement) -> bool:
+    """Returns True if the run was repeated at a share of its road's height."""
+    return any(signal.small is not None for signal in agreement.signals.values())
 
 
-def _step_lines(run: Run) -> list[str]:
-    """Returns a sentence on single steps, if they add to the linear comparison."""
-    steps, agreement = run.agreement.steps, run.agreement
-    turned = any(signal.small is not None for signal in agreement.signals.values())
-    if steps is None and turned:
-        heights = " and ".join(f"{share:g}" for share in PARTS)
-        return [
-            "step by step nothing is compared, for this kind of vehicle has no `motion`: what geometry makes is foretold from "
-            f"{heights} of this road's height"
-        ]
-    if steps is None or steps.until <= 0:
-        return []
-    numbers = f"{steps.error:.1e} of a peak ({steps.signal}), where {steps.allowed:.0e} is allowed"
-    if not steps.agrees and run.physics.ran_away:
-        return [
-            f"step by step nothing is claimed from {steps.since:.4g} s on: the law's states grow, and rounding decides its forces"
-        ]
-    if not steps.agrees:
-        return [
-            f"DOES NOT AGREE step by step: from {steps.since:.4g} s on, MuJoCo's steps leave those of the vehicle's nonlinear "
-            f"equations of motion by up to {numbers}"
-        ]
-    if steps.until <= agreement.until and not turned:
-        return []
-    return [
-        f"agrees step by step {_end(steps)}: each step of MuJoCo is that of the vehicle's nonlinear equations of motion "
-        f"to {numbers}"
-    ]
+def _linear_lines(run: Run) -> list[str]:
+    """Returns sentences on the distance from linear analysis, and its cause."""
+    agreement = run.agreement
+    if not run.prediction.is_linear:
+        return ["there is no linear reference: the controller adjusts dampers, which is not linear at any amplitude"]
+    if agreement.until <= 0:
+        return [f"linear analysis does not apply: {_when(run)}"]
+    lines = []
+    if math.isfinite(agreement.until):
+        known = agreement.lost or agreement.until in (*agreement.ended.values(), run.diverged)
+        why = "" if known else ": within a step, a tyre may leave the road there"
+        lines.append(f"linear analysis does not apply from {agreement.until:.4g} s on{why}")
+    size = {name: signal.sampled for name, signal in agreement.signals.items()}
+    worst = max(size, key=lambda name: size[name])
+    wrong = [name for name, signal in agreement.signals.items() if not signal.agrees]
+    if wrong:
+        worst = max(wrong, key=lambda name: agreement.signals[name].excess)
+    signal, when = agreement.signals[worst], f"until {agreement.until:.4g} s" if math.isfinite(agreement.until) else "throughout"
+    numbers = f"{signal.sampled:.1e} of a peak ({worst}) {when}"
+    if signal.small is not None:
+        numbers += f", and {signal.small:.1e} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
+    if wrong:
+        lines.append(f"DOES NOT AGREE with {_reference(run)}: {numbers}, where {signal.allowed:.1e} is allowed")
+    else:
+        lines.append(f"MuJoCo is within {numbers} of {_reference(run)}; the cause is {agreement.cause}")
+    if agreement.coarse:
+        lines.append(f"the timestep is too coarse: RK4's own error is more than {COARSEST:g} of a peak; give a smaller one")
+    return lines
 
 
 def _end(steps: StepAgreement) -> str:

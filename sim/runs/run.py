@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,16 +14,15 @@ from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import largest_timestep, sampled_response
+from sim.linear.sampled_response import largest_timestep
 from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
-from sim.runs.agreement import HALVED, PARTS, SMALL, Agreement, compare, foretell, halve_geometry, look_closer, with_geometry
+from sim.runs.agreement import SMALL, Agreement, compare, to_first_order
 from sim.runs.code_effect import code_effect
-from sim.runs.prediction import Prediction, ScaledPrediction, predict, predict_replayed, reference_at, with_scaled_noise
+from sim.runs.prediction import Prediction, predicted
 from synth.controller.controller import Controller, Driver, code_of
-from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
     from models.figures.figure import Panel
@@ -243,18 +241,10 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
             mine = [each for each in controllers if vehicle.driven_by(each.name) is one]
             done |= zip(map(id, mine), run_controllers(one, mine, road, time, balanced), strict=True)
         return [done[id(each)] for each in controllers]
-    ahead = not vehicle.dampers  # else the predictions follow the decisions that dampers make in physics
     on = RoadInput(vehicle, road, time)
-    known = [
-        predict(LoopModel(vehicle, each, on.timestep), on) if ahead and isinstance(each, Controller) else each
-        for each in controllers
-    ]
     physics = simulate(controllers, [on] * len(controllers))
-    predictions = [
-        each if isinstance(each, Prediction) else predict_replayed(each, on, physics.run(i), physics.requested_force[i])
-        for i, each in enumerate(known)
-    ]
-    runs = compare_runs(predictions, [physics.run(i) for i in range(len(predictions))], physics.requested_force)
+    predictions = [predicted(each, on, physics.requested_force[i]) for i, each in enumerate(controllers)]
+    runs = compare_runs(predictions, physics)
     return with_energy_balance(runs, physics) if balanced else runs
 
 
@@ -276,38 +266,41 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
     """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
     on = RoadInput(vehicle, road, time)
     physics = simulate([controller], [on])
-    if vehicle.dampers:
-        return Reference(physics.run(0), predict_replayed(controller, on, physics.run(0), physics.requested_force[0]).sampled)
-    return Reference(physics.run(0), sampled_response(LoopModel(vehicle, controller, on.timestep), on))
+    return Reference(physics.run(0), predicted(controller, on, physics.requested_force[0]).sampled)
 
 
-def compare_runs(
-    predictions: Sequence[Prediction], physics: Sequence[Response], requested_force: Array | None = None
-) -> list[Run]:
-    """Compares the physics of some runs, new or from a log, with their predictions.
+def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:
+    """Returns the verdicts on some runs.
 
-    A run with exported code is also compared with the run of the law itself, which is made here.
+    A run with exported code is also compared with the run of the law itself, and one of a vehicle type that rotates without
+    equations of motion with a run at a share of its road's height. These runs are made here.
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        requested_force: their controllers' requests, see `PhysicsRuns`; None if they are not known.
+        physics: the runs.
     """
     predictions = _with_code_effects(predictions, physics)
-    requests = [None] * len(predictions) if requested_force is None else list(requested_force)
-    triples = zip(predictions, physics, requests, strict=True)
-    runs = [Run(prediction, response, compare(prediction, response, forces)) for prediction, response, forces in triples]
-    doubtful = [
-        i
-        for i, run in enumerate(runs)
-        if not all(signal.agrees for signal in run.agreement.signals.values()) and has_geometry(run.vehicle)
+    runs = []
+    for i, prediction in enumerate(predictions):
+        response = physics.run(i)
+        runs.append(Run(prediction, response, compare(prediction, response, physics.commanded(i))))
+    unknown = [
+        i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
-    closer = _looked_closer([runs[i] for i in doubtful], [requests[i] for i in doubtful]) if doubtful else []
-    for i, agreement in zip(doubtful, closer, strict=True):
-        runs[i] = replace(runs[i], agreement=agreement)
+    if unknown:
+        made = _simulated([runs[i].prediction for i in unknown], runs[0].prediction.time, _without_noise, SMALL)
+        for k, i in enumerate(unknown):
+            agreement = to_first_order(runs[i].agreement, runs[i].prediction, made.run(k))
+            runs[i] = replace(runs[i], agreement=agreement)
     return runs
 
 
-def _with_code_effects(predictions: Sequence[Prediction], physics: Sequence[Response]) -> Sequence[Prediction]:
+def _without_noise(vehicle: Vehicle) -> Vehicle:
+    """Returns the vehicle without noise and quantisation, which have no height."""
+    return replace(vehicle, implementation=vehicle.implementation.without_noise)
+
+
+def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) -> Sequence[Prediction]:
     """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
     coded = [i for i, one in enumerate(predictions) if code_of(one.controller) is not None]
     if not coded:
@@ -315,55 +308,13 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: Sequence[Resp
     from synth.controller.export.compiled import without_code
 
     ours = [replace(predictions[i], controller=without_code(predictions[i].controller)) for i in coded]
-    made = simulate([one.controller for one in ours], [one.input for one in ours])
-    runs, forces = [made.run(k) for k in range(len(ours))], made.requested_force
-    ours = [
-        one if one.loop is not None else predict_replayed(one.controller, one.input, runs[k], forces[k])
-        for k, one in enumerate(ours)
-    ]
-    whole = list(predictions)
-    for i, law_run in zip(coded, compare_runs(ours, runs, forces), strict=True):
+    made, whole = simulate([one.controller for one in ours], [one.input for one in ours]), list(predictions)
+    for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
-        effect = code_effect(one.controller, physics[i], law_run.physics, names, until, law_run.agrees)
-        spread = {name: far + one.spread.get(name, 0.0) for name, far in effect.spread(len(one.time)).items()}
-        whole[i] = replace(one, spread=(one.spread if one.played else spread or one.spread), code_effect=effect)
+        effect = code_effect(one.controller, physics.run(i), law_run.physics, names, until, law_run.agrees)
+        whole[i] = replace(one, code_effect=effect)
     return whole
-
-
-def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> list[Agreement]:
-    """Returns the agreement of doubtful runs, of which geometry may be the cause, after runs over shares of their road's height.
-
-    Arguments as for `compare_runs`.
-    """
-
-    def over(share: float, some: Sequence[Run]) -> list[tuple[Response, ScaledPrediction]]:
-        again = [_until(run.prediction, max(run.agreement.until for run in some)) for run in some]
-        made = _simulated(again, again[0].time, partial(with_scaled_noise, share), share).response
-        return [(made.run(k), reference_at(share, each, made.run(k))) for k, each in enumerate(again)]
-
-    small = over(SMALL, runs)
-    closer = [look_closer(run.agreement, known, made) for run, (made, known) in zip(runs, small, strict=True)]
-    if any(agreement.steps is None for agreement in closer):  # the kind gives no exact equations
-        half, quarter = (over(share, runs) for share in PARTS)
-        for i, run in enumerate(runs):
-            closer[i] = foretell(closer[i], run.prediction, run.physics, (half[i], quarter[i]))
-        return closer
-    larger = [i for i, agreement in enumerate(closer) if not all(signal.agrees for signal in agreement.signals.values())]
-    if larger:
-        for i, nearer in zip(larger, over(HALVED, [runs[i] for i in larger]), strict=True):
-            closer[i] = halve_geometry(closer[i], small[i], nearer)
-    return [
-        with_geometry(agreement, run.prediction, run.physics, forces)
-        for agreement, run, forces in zip(closer, runs, requests, strict=True)
-    ]
-
-
-def _until(prediction: Prediction, end: float) -> Prediction:
-    """Returns the prediction to be repeated over the samples before a time [s] alone, two of them at least."""
-    time = prediction.time[: max(2, int(np.searchsorted(prediction.time, end)))]
-    asked = prediction.requested_force[: len(time)]
-    return replace(prediction, input=replace(prediction.input, time=time), requested_force=asked)
 
 
 def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
@@ -379,8 +330,8 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
         replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
-    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
-    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful and not run.agreement.blurred]
+    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not _has_noise(run)]
+    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful and not _has_noise(run)]
     if halved := sorted({*lifted, *doubtful}):
         again, timestep = [runs[i].prediction for i in halved], runs[0].prediction.timestep
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
@@ -395,13 +346,18 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
     return runs
 
 
+def _has_noise(run: Run) -> bool:
+    """Returns True if measurements are noisy or quantised, or exported code rounds, which differs at other steps."""
+    return run.vehicle.implementation.has_measurement_noise or bool(run.prediction.rounding_text)
+
+
 def _simulated(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is
-    replayed. Over a share of the road, a law drives without its exported code, whose rounding is of no height.
+    Vehicles and roads that runs share remain shared. A law in Python is not run again: its commands are replayed. Over a share of
+    the road, so is that share of its forces.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -417,17 +373,13 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         share: factor on the forces of a law in Python.
     """
     if not isinstance(prediction.controller, Programmed):
-        if share == 1 or code_of(prediction.controller) is None:
-            return prediction.controller
-        from synth.controller.export.compiled import without_code
-
-        return without_code(prediction.controller)
+        return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
-    from sim.linear.dampers import scaled_commands
     from sim.physics.driver import RecordedForces
 
-    commands = scaled_commands(prediction.vehicle, prediction.requested_force, share)
-    return RecordedForces(prediction.controller.measured, np.repeat(commands, steps, axis=0)[: len(time)])
+    return RecordedForces(
+        prediction.controller.measured, share * np.repeat(prediction.requested_force, steps, axis=0)[: len(time)]
+    )
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:

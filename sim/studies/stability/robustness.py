@@ -203,8 +203,7 @@ def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
     """Returns True for each trial whose linear response over the bump MuJoCo confirms; all run in one batch."""
     controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
     predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, inputs, strict=True)]
-    response = simulate(controllers, inputs, threads=0).response
-    return [run.agreement.agrees for run in compare_runs(predictions, [response.run(i) for i in range(len(trials))])]
+    return [run.agreement.agrees for run in compare_runs(predictions, simulate(controllers, inputs, threads=0))]
 
 
 def _changed(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> dict[str, float]:

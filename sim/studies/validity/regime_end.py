@@ -69,7 +69,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
     road = RoadInput(vehicle.linearised, metre, time)
     alone = (
-        switched_response(controller, road)
+        switched_response(controller, [RoadInput(vehicle, metre, time)]).run(0)
         if short
         else sampled_response(LoopModel(road.vehicle, controller, road.timestep), road)
     )
@@ -90,7 +90,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     while ends.stays > 0 and ends.leaves - ends.stays > 2.01 * (REACHES[0] - 1) * predicted and ends.end:
         heights = np.linspace(ends.stays, ends.leaves, POINTS)[1:-1]
         ends = _narrowed(ends, vehicle, controller, bump, heights, time)
-    if ends.stays > 0 and (short or vehicle.is_curved):  # a map knows how far it is from a linear response only
+    if ends.stays > 0 and vehicle.is_curved and not short:  # a map knows how far it is from a linear response only
         (run,) = run_controllers(vehicle, [controller], replace(bump, height=ends.stays), time)
         ends = replace(ends, error=max(signal.sampled for signal in run.agreement.signals.values()))
     return ends

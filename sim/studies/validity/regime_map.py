@@ -168,7 +168,7 @@ def _run(
     elif vehicle.is_curved or loads:
         used, times = _one_by_one(vehicle, controller, bumps, time, loads)
     else:
-        of_metre = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
+        of_metre = switched_response(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
         used, times = _in_proportion(vehicle, of_metre, heights, column, has_anti_windup(controller))
     end = REGIME_ENDS.index(DAMPER)
     if short:
@@ -250,19 +250,15 @@ def _one_by_one(
     inputs = [RoadInput(vehicle, road, time) for road in near]
     linear = is_linear(vehicle, controller)
     responses = (
-        sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs) if linear else _switched(controller, inputs)
+        sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
+        if linear
+        else switched_response(controller, inputs)
     )
     anti_windup = has_anti_windup(controller)
     detector = EndDetector([vehicle] * len(near), time, True, [anti_windup] * len(near))
     detector.update(0, np.moveaxis(responses.values, 0, 2))
     times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
     return utilisation(vehicle, replace(responses, values=responses.values[: len(bumps)]), anti_windup), times
-
-
-def _switched(controller: Controller, inputs: Sequence[RoadInput]) -> Response:
-    """Responses with adjustable dampers, side by side."""
-    responses = [switched_response(controller, road) for road in inputs]
-    return replace(responses[0], values=np.stack([one.values for one in responses]))
 
 
 def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:

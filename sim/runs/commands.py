@@ -1,0 +1,253 @@
+"""Comparison of a run's commands with its control law, evaluated on the run's own measurements, sample by sample.
+
+Every sample starts from what the run measured and from the law's recorded states, so no error of one sample hides in the next.
+Measurements must be the run's signals at the sample, and the law receives them with noise and quantisation. Commands must be
+those of the law, within the limits of adjustable dampers, and act `delay` samples later. A law in Python, an FMU and exported code are
+started again and receive the same measurements.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
+from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.sampled_response import roundings
+from sim.physics.actuators import closing_names
+from sim.physics.computer import measurement_noise
+from sim.physics.driver import Driver, PythonDriver, implementation_around, steps_ahead
+from sim.physics.simulate import Commanded
+from sim.response.response import Response
+from synth.controller.controller import Controller, code_of
+from synth.controller.controller import Driver as Law
+
+EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
+
+
+@dataclass(frozen=True)
+class CommandAgreement:
+    """Differences of a run's measurements, commands and law states from its control law.
+
+    Attributes:
+        error: the difference with the largest ratio to its allowed value, over the peak of the signal.
+        allowed: the allowed value, over that peak.
+        signal: name of that signal, command or state.
+        since: time of the first sample that differs by more than is allowed [s], or infinity.
+        repeatable: False if the law gave two answers to the same measurements when it was started again twice. Its commands are
+            then not compared.
+    """
+
+    error: float
+    allowed: float
+    signal: str
+    since: float
+    repeatable: bool = True
+
+    @property
+    def agrees(self) -> bool:
+        """Returns True if every measurement and command is that of the law."""
+        return self.error <= self.allowed
+
+
+Difference = tuple[
+    str, Array, Array, Array
+]  # name, times [s], difference and its allowed value over the peak, each of shape (K,)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Samples of one controller.
+
+    Attributes:
+        due: timesteps of the K samples.
+        period: timesteps from sample to sample.
+        y: measurements as the law receives them, shape (K, q).
+        closing: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without adjustable dampers.
+        states: states of a linear law at the samples, as it is run, shape (K, k).
+    """
+
+    due: Array
+    period: int
+    y: Array
+    closing: Array
+    states: Array
+
+
+def compare_commands(controller: Law, road: RoadInput, physics: Response, commanded: Commanded, until: float) -> CommandAgreement:
+    """Returns the comparison of a run's commands with its control law, for the samples before a time [s].
+
+    Args:
+        physics: the run, measured from the steady motion in which its vehicle starts.
+    """
+    vehicle, h = road.vehicle, road.timestep
+    how = implementation_around(controller, vehicle)
+    period, coded = steps_per_sample(how, h), code_of(controller) is not None
+    count = int(np.searchsorted(road.time, min(until, physics.diverged)))
+    due, outputs = np.arange(0, count, period), vehicle.linear_model.outputs
+    noise = measurement_noise([how], (*outputs, *[""] * len(closing_names(vehicle))), len(road.time))
+    columns = []
+    for name in controller.measured:
+        seen = commanded.measured[name][due]
+        if len(noise):
+            seen = seen + noise[due, 0, outputs.index(name)]
+        if not coded and (step := how.quantisation.get(name)):
+            seen = step * np.round(seen / step)
+        columns.append(seen)
+    closing = [commanded.measured[name][due] for name in closing_names(vehicle)]
+    y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
+    samples = _Samples(due, period, y, velocities, _states_as_run(controller, commanded.states[due], period * h))
+    late = 0 if coded else round(how.delay * period)
+    readings, answers = [*_readings(controller, road, physics, commanded, due)], []
+    for _ in range(3 if isinstance(controller, Programmed) else 1):
+        answers.append([*_commands(controller, road, samples, commanded, count, late)])
+        if (result := _worst([*readings, *answers[-1]], vehicle)).agrees:
+            return result
+    if len(answers) > 1 and any(np.any(a[2] != b[2]) for a, b in zip(*answers[-2:], strict=True)):
+        return CommandAgreement(**{**vars(_worst(readings, vehicle)), "repeatable": False})
+    return result
+
+
+def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
+    """Returns the agreement of the signal with the largest ratio of difference to allowed value."""
+    worst = CommandAgreement(0.0, EXACT, vehicle.linear_model.inputs[0], np.inf)
+    since = np.inf
+    for name, times, far, allowed in differences:
+        if not len(far):
+            continue
+        far = np.where(np.isfinite(far), far, np.inf)
+        excess = far / allowed
+        k = int(excess.argmax())
+        if excess[k] > worst.error / worst.allowed:
+            worst = CommandAgreement(float(far[k]), float(allowed[k]), name, np.inf)
+        if np.any(excess > 1):
+            since = min(since, float(times[(excess > 1).argmax()]))
+    return CommandAgreement(worst.error, worst.allowed, worst.signal, since)
+
+
+def _states_as_run(controller: Law, states: Array, period: float) -> Array:
+    """Returns recorded states, which are those of the controller's own law, as those of the law that is run."""
+    return states / controller.law.of_state(period) if isinstance(controller, Controller) else states
+
+
+def _readings(controller: Law, road: RoadInput, physics: Response, commanded: Commanded, due: Array) -> Iterator[Difference]:
+    """Yields the differences of measurements from the run's signals at the samples.
+
+    An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.runs.steps`).
+    """
+    rounded = roundings(road.vehicle, None)
+    D, Dh = road.vehicle.linear_model.D, road.vehicle.linear_model.Dh
+    for name in controller.measured:
+        row = road.vehicle.linear_model.outputs.index(name)
+        if not (D[row].any() or Dh[row].any()):
+            scale = physics.scale(name) or 1.0
+            far = np.abs(commanded.measured[name][due] - physics[name][due]) / scale
+            yield name, road.time[due], far, np.full(len(due), EXACT + rounded[name] / scale)
+
+
+def _commands(
+    controller: Law, road: RoadInput, samples: _Samples, commanded: Commanded, count: int, late: int
+) -> Iterator[Difference]:
+    """Yields the differences of commands, and of the states of a linear law, from the law's."""
+    vehicle, times = road.vehicle, road.time[:count]
+    inputs = vehicle.linear_model.inputs
+    names = (*inputs, *(f"missing {name}" for name in inputs))
+    arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
+    after = None
+    if isinstance(controller, Controller) and code_of(controller) is None:
+        computed, allowed, after = _linear(controller, road, samples)
+    elif isinstance(controller, SemiActive) and code_of(controller) is None:
+        computed, allowed = _semi_active(controller, vehicle, samples)
+    else:
+        computed = _again(controller, road, samples)
+        allowed = np.full_like(computed, EXACT) * np.abs(computed).max(axis=0, initial=0.0)
+    for j in range(computed.shape[1]):
+        expected, slack = (np.where(arrived >= 0, one[np.maximum(arrived, 0), j], 0.0) for one in (computed, allowed))
+        scale = float(np.abs(expected).max(initial=0.0)) or 1.0
+        yield names[j], times, np.abs(commanded.commands[:count, j] - expected) / scale, np.maximum(slack / scale, EXACT)
+    if after is not None:
+        for i, (expected, slack) in enumerate(zip(*(one.T for one in after), strict=True)):
+            scale = float(np.abs(expected).max(initial=0.0)) or 1.0
+            far = np.abs(samples.states[1:, i] - expected[:-1]) / scale
+            yield f"state {i + 1} of the law", times[samples.due[1:]], far, np.maximum(slack[:-1] / scale, EXACT)
+
+
+def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains."""
+    from models.suspension.damper_range import range_of
+
+    vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
+    law, inputs = controller.law.sampled(samples.period * h), vehicle.linear_model.inputs
+    forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
+    if controller.preview is not None:
+        heights = np.concatenate([road.heights, road.ahead(steps_ahead([vehicle], [controller], h))])
+        ahead = controller.preview.forces(heights, samples.period, h, len(road.time))[samples.due]
+        forces, of_forces = forces + ahead, of_forces + np.abs(ahead).max(axis=0, initial=0.0)
+    after, of_after = y @ law.B.T + x @ law.A.T, np.abs(y) @ np.abs(law.B).T + np.abs(x) @ np.abs(law.A).T
+    slack = EXACT * np.broadcast_to(of_forces.max(axis=0, initial=0.0), forces.shape)
+    closing = samples.closing if vehicle.dampers else None
+    if law.anti_windup is not None:
+        from models.laws.anti_windup import anti_windup_gain
+
+        of, gain = range_of([vehicle.adjustable], inputs, [vehicle.limits.actuator_force]), anti_windup_gain(law)
+        after = after + of.clipped_off(forces, closing) @ gain.T
+        of_after = of_after + of_forces @ np.abs(gain).T
+    states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
+    if closing is None:
+        return forces, slack, states
+    of = range_of([vehicle.adjustable], inputs)
+    speed = np.abs(of.effective_velocity(closing))
+    commands = of.commands(np.concatenate([forces, closing], axis=1))
+    return (
+        commands,
+        np.concatenate([np.minimum(slack / speed, of.high - of.low) + EXACT * np.abs(of.high), slack], axis=1),
+        states,
+    )
+
+
+def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
+    """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
+    from models.suspension.damper_range import range_of
+    from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
+
+    of, whole = range_of([vehicle.adjustable], vehicle.linear_model.inputs), slice(None)
+    numbers = numbers_at(numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
+    nominal = np.array([one.nominal for one in vehicle.adjustable])
+    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers) - nominal, samples.closing)
+    return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
+
+
+def _again(controller: Law, road: RoadInput, samples: _Samples) -> Array:
+    """Returns the commands of a law in Python, an FMU or exported code that is started again, shape (K, c)."""
+    from models.suspension.damper_range import range_of
+
+    vehicle, h = road.vehicle, road.timestep
+    driver: Driver
+    if code_of(controller) is not None:
+        from sim.physics.exported_code import CodeDriver
+
+        driver = CodeDriver([controller])
+    else:
+        assert isinstance(controller, Programmed), "other laws are evaluated by their formulas"
+        driver = PythonDriver(controller, samples.period * h)
+    state = driver.start([vehicle], h)
+    heights = np.concatenate([road.heights, road.ahead(steps_ahead([vehicle], [controller], h))])
+    requests = []
+    for i, k in enumerate(samples.due.tolist()):
+        ahead = None
+        if driver.ahead:
+            ahead = heights[k : k + (driver.ahead - 1) * samples.period + 1 : samples.period].T[None]
+        y = samples.y[i : i + 1]
+        if len(driver.measured) > y.shape[1]:
+            y = np.concatenate([y, samples.closing[i : i + 1]], axis=1)
+        request, state = driver.step(k, y, ahead, state)
+        requests.append(request[0])
+    requested = np.array(requests)
+    if not vehicle.dampers or driver.requests == "commands":
+        return requested
+    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    return of.commands(np.concatenate([requested, samples.closing], axis=1))
