@@ -322,6 +322,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
     claims, files = claims_of(run)
     acting: dict[str, Response | None] = {}
     drawn: tuple[Diagram, ...] = ()
+    responses = {MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous}
     if road.loaded:
         from sim.runs.forces import pushed
 
@@ -332,7 +333,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
         acting[DAMPERS], drawn = pulled(vehicle, run.physics), tuple(diagrams(vehicle))
     return RunLog(
         name=name,
-        responses={MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous},
+        responses={name: one for name, one in responses.items() if name == MUJOCO or not np.isnan(one.values).all()},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=summary(run),

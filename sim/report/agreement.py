@@ -159,15 +159,15 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         cause = run.prediction.cause
         kinds.add("noise" if run.prediction.is_blurred else "geometry" if cause else "exact")
         for name, signal in run.agreement.signals.items():
-            half = None if fine is None else fine.agreement.signals[name]
+            half = None if fine is None or cause else fine.agreement.signals[name]
             # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
             rows.append(
                 (
                     run.controller.name,
                     name.replace("_", " "),
                     cell(signal.sampled, ".1e"),
-                    cell(signal.allowed, ".1e") if not cause else cause,
-                    _order(signal.sampled, half.sampled) if half is not None and not cause else "-",
+                    cause or cell(signal.allowed, ".1e"),
+                    _order(signal.sampled, half.sampled) if half is not None else "-",
                     f"{signal.continuous:.1e}" if not scope.is_nonlinear else "-",
                     _order(signal.continuous, half.continuous)
                     if half is not None and not cause and _settles(scope, run)

@@ -161,7 +161,7 @@ def _against(value: float, passive: float) -> str:
 
 def _verdict(scope: Scope, run: Run) -> str:
     """Describes the agreement of physics and analysis in a few words."""
-    until = run.agreement.until
-    agrees = "agrees throughout" if until == math.inf else f"agrees until {until:.3g} s"
+    until, linear = run.agreement.until, run.prediction.is_linear
+    agrees = "agrees" if until == math.inf or not linear else f"agrees; linear until {until:.3g} s"
     unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""
     return f"{agrees if run.passed else 'DOES NOT AGREE'}{unstable}"
