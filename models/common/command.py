@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
 
         Args:
             default: the controllers without `--controller`.
-            several: what several `--vehicle` are for, which are `vehicles` then; empty for commands that take one.
+            several: purpose of several `--vehicle`, whose attribute is then `vehicles`; empty for commands that take one vehicle.
         """
         self.add_argument(
             "--controller",
@@ -195,10 +195,10 @@ def chosen_of(
 
     Args:
         vehicles: all controllers of each vehicle, by a key of the vehicle.
-        given, usual: as for `chosen`.
+        given, usual: names on the command line and default names, as in `chosen`.
 
     Raises:
-        InputError: as for `chosen`, or a vehicle has none of the controllers.
+        InputError: bad names as in `chosen`, or a vehicle without any of the controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen(known, given, usual)

@@ -52,7 +52,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     """Returns a number with its unit, `70 mm` or `8Hz`, in another unit; a number alone is in that already.
 
     Args:
-        unit: of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
+        unit: unit of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
         what: name of the number, for messages.
 
     Raises:
@@ -83,7 +83,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     """Returns the number of a text with a number and a unit, as `quantity` does; another text or value as it is.
 
     Raises:
-        InputError: see `quantity`, or the number has no unit.
+        InputError: bad text as in `quantity`, or a number without a unit.
     """
     match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None and not (isinstance(value, str) and COMMA.match(value)):

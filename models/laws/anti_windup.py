@@ -24,7 +24,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     """Returns L of a discrete law, shape (k, m); zero without anti-windup.
 
     Args:
-        law: as it is run, see `LinearLaw.sampled`.
+        law: law as implemented, see `LinearLaw.sampled`.
 
     Raises:
         InputError: the rate is too small for the sample period, or a state that is too slow acts on no force, or hardly.

@@ -151,7 +151,7 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
 
     Args:
         where: the section, for the message.
-        parts: each as it is written; kinds first.
+        parts: parts of the controller's section as written in the file; kinds first.
 
     Raises:
         InputError: two do not; the message says why, and what each of them goes with.
@@ -166,10 +166,10 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
     """Checks that a command goes with all parts of a section.
 
     Args:
-        command: one of `COMMANDS`.
+        command: name of a command, a key of `COMMANDS`.
 
     Raises:
-        InputError: it does not, or the `error` that is given.
+        InputError: the parts cannot be combined, or the `error` that is given.
     """
     option = COMMANDS[command].strip("`")
     for part, written in parts.items():

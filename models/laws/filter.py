@@ -79,7 +79,7 @@ class Filter:
 
     Attributes:
         sections: numerator and denominator of each section in series, coefficients by falling powers of s.
-        name: of a known filter; empty for one that is given by its coefficients.
+        name: name of a known filter; empty for a filter that is given by its coefficients.
         integrates: True if its only section may have a pole at 0.
 
     Raises:

@@ -26,7 +26,7 @@ class NormOf:
 
     Attributes:
         signals: weights by signal; None for z of `[performance]`.
-        band: from and to [Hz].
+        band: lower and upper frequency [Hz].
     """
 
     signals: Mapping[str, float] | None = None
@@ -71,9 +71,9 @@ class PeakBound:
     """Upper bound on a signal's largest magnitude over a road, in the signal's unit.
 
     Attributes:
-        signal: its name.
-        road: as `--road` takes it.
-        speed: [m/s]; None for 12.5 m/s on any road.
+        signal: name of the signal.
+        road: road in the form of `--road`.
+        speed: vehicle speed [m/s]; None for 12.5 m/s on any road.
         at_most: the bound.
     """
 
@@ -88,7 +88,7 @@ class EnergyBound:
     """Upper bound on a signal's largest magnitude over all roads of given energy, in the signal's unit.
 
     Attributes:
-        signal: its name.
+        signal: name of the signal.
         energy: the integral of the squared velocity under all wheels together [m2/s].
         at_most: the bound.
     """
@@ -121,11 +121,11 @@ class Goals:
 
     Attributes:
         minimise: the norm whose largest value over all vehicles and errors is minimised.
-        bounds: valid for all vehicles; norms and decay for all errors, too.
+        bounds: bounds for all vehicles; norms and decay for all errors, too.
         tolerance: largest relative error of each measured signal, and each force, independent of one another, as the file
             has it; see `force_error`.
         family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
-        over: over the family "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
+        over: objective over a family: "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
         structure: True if a measurement may act on a force, a row per force; None for no restriction.
     """
 
@@ -215,7 +215,7 @@ def read_goals(
 
     Args:
         where: the section, for messages.
-        entry: its entries.
+        entry: entries of the controller's section.
         measured: names of the measured signals.
         outputs: names of all signals.
         corners: suffix of the names at a force's suspension, by force; empty for a single suspension.
@@ -360,7 +360,7 @@ def read_structure(
         corners: suffix of the names at a force's suspension, by force.
 
     Raises:
-        InputError: it is neither, or it leaves a signal or a force out.
+        InputError: the value is neither, or it omits a signal or a force.
     """
     if value is None:
         return None

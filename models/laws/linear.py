@@ -29,7 +29,8 @@ class LinearLaw:
         B: shape (k, q).
         C: shape (m, k).
         D: shape (m, q), the static gain K if there are no states [N per measured unit].
-        sample_period: of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None of a continuous one.
+        sample_period: sample period of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None for a
+            continuous law.
         anti_windup: rate at which its states follow the forces that are given where these are clipped [1/s]; None: they do not.
 
     Raises:
@@ -109,7 +110,7 @@ class LinearLaw:
         """Returns the law with its forces multiplied by factors.
 
         Args:
-            factors: one for all forces, or one for each, shape (m,).
+            factors: factor for all forces, or a factor for each force, shape (m,).
         """
         rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
         return replace(self, C=rows * self.C, D=rows * self.D)
@@ -118,7 +119,7 @@ class LinearLaw:
         """Returns the law with its readings multiplied by factors.
 
         Args:
-            factors: one for all readings, or one for each, shape (q,).
+            factors: factor for all measurements, or a factor for each, shape (q,).
         """
         columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
         return replace(self, B=self.B * columns, D=self.D * columns)
@@ -199,7 +200,7 @@ class LinearLaw:
         period stays as it is.
 
         Args:
-            period: [s].
+            period: sample period [s].
 
         Raises:
             InputError: a state grows by more than `LARGEST` within a period, or the result has entries beyond it.

@@ -31,8 +31,8 @@ class RoadPreview:
     Attributes:
         seconds: T, how far ahead of every wheel its road is known [s].
         A: shape (k, k).
-        B: from the road's velocities, shape (k, r).
-        H: from the road's heights, shape (k, r).
+        B: input matrix of the road's velocities, shape (k, r).
+        H: input matrix of the road's heights, shape (k, r).
         C: shape (m, k).
 
     Raises:
@@ -67,7 +67,7 @@ class RoadPreview:
         """Returns the number of heights under each wheel that a computer uses, the present one included.
 
         Args:
-            period: of its samples [s].
+            period: sample period of the preview [s].
         """
         return samples_ahead(self.seconds, period)
 
@@ -103,9 +103,10 @@ class RoadPreview:
         """Returns the forces along a road, held from sample to sample, shape (T, m).
 
         Args:
-            heights: of the road at the timesteps of a run, and beyond its end as far as it looks [m], shape (T + ahead, r).
+            heights: heights of the road at the timesteps of a run, and beyond its end up to the preview distance [m], shape (T +
+                ahead, r).
             steps: timesteps between two samples of the controller.
-            timestep: [s].
+            timestep: timestep of the heights [s].
             samples: T.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)

@@ -29,7 +29,7 @@ class PythonLaw:
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
-        preview: how far ahead it gets the road [s]; None if it does not get it.
+        preview: preview time of the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
     """
 
@@ -76,7 +76,7 @@ class PythonLaw:
         """Reads the text of the law's file without running it. For an FMU, it is the text that steps it, with its checksum.
 
         Raises:
-            InputError: there is no such file, it is too large, or it is not text.
+            InputError: the file does not exist, is too large, or is not text.
         """
         path = self.path
         if path is None:
@@ -94,7 +94,7 @@ class Programmed:
     """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
-        name: its name in the vehicle file.
+        name: name in the vehicle file.
         measured: the signals y, q of them.
         law: the law as the vehicle file names it.
         source: text of the law's file, or of the function, as far as Python knows it.

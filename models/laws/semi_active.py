@@ -35,14 +35,15 @@ class LawCoefficients:
     """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
 
     Attributes:
-        c_min, c_max: of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at the present velocities.
+        c_min, c_max: smallest and largest coefficient of the dampers [N s/m], shape (N, m); for measured curves, force over
+            velocity at the present velocities.
         sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
-        stiffness: of the suspensions' springs [N/m], shape (N, m).
+        stiffness: stiffness of the suspension springs [N/m], shape (N, m).
         modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping
             over `sky`, then alone, shapes (b, N, m).
-        mix: of hybrid: 1 is skyhook alone, 0 groundhook; shape (N, m).
+        mix: weight of skyhook in a hybrid law: 1 is skyhook alone, 0 groundhook alone; shape (N, m).
         crossover: frequency of the mixed law, skyhook below and ADD above [rad/s], shape (N, m).
-        still: what replaces a velocity of 0 [m/s].
+        still: value that replaces a velocity of 0 [m/s].
     """
 
     c_min: Quantity
@@ -176,7 +177,7 @@ class SemiActiveLaw:
         name: key of `LAWS`.
         numbers: the keys that the file gives, with their values.
         endings: suffixes of the names at the suspensions, in the order of the forces.
-        modes: measured modes of the body; empty for laws that work corner by corner.
+        modes: modes of the body that the law measures; empty for laws that work corner by corner.
     """
 
     name: str
@@ -231,7 +232,7 @@ class SemiActive:
     """Controller with a shipped semi-active law; no linear claim is made about it.
 
     Attributes:
-        name: its name in the vehicle file.
+        name: name in the vehicle file.
         law: the law.
     """
 

@@ -37,12 +37,12 @@ class RoadChoice:
 
     Attributes:
         text: text of the choice.
-        kind: one of `ROAD_KINDS`, or "profile".
+        kind: kind of the road: one of `ROAD_KINDS`, or "profile".
         values: the given numbers and names.
-        profile: of a CSV file.
-        surface: of an OpenCRG file.
-        rig: of a drive file.
-        loads: on the body, beside it.
+        profile: profile of a CSV file; None for other roads.
+        surface: surface of an OpenCRG file; None for other roads.
+        rig: rig of a drive file; None for other roads.
+        loads: loads on the body, in addition to the road.
     """
 
     text: str
@@ -67,8 +67,8 @@ class RoadChoice:
         """Returns the road.
 
         Args:
-            speed: [m/s].
-            distance: driven distance [m], over which a random road does not repeat.
+            speed: vehicle speed [m/s].
+            distance: distance driven [m], over which a random road does not repeat.
 
         Raises:
             InputError: a number that is not allowed.

@@ -66,7 +66,7 @@ class Load(ABC):
         Args:
             t: times [s].
             p: parameters of the vehicle, by name [SI].
-            kind: of the vehicle, whose links may carry some of it to the wheels; None for the force and moments alone.
+            kind: kind of the vehicle, whose links may carry part of the load to the wheels; None for the force and moments alone.
         """
 
     def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -237,7 +237,7 @@ class Payload(_Placed):
     """Added weight.
 
     Attributes:
-        mass: [kg]; below 0 it is removed.
+        mass: payload mass [kg]; a negative mass is removed.
         x, y: place, forward and to the left of the body's centre of mass [m].
     """
 
@@ -261,7 +261,7 @@ class Lift(_Placed):
     """Aerodynamic lift.
 
     Attributes:
-        force: up [N]; below 0 it is downforce.
+        force: upward force [N]; a negative force is downforce.
         x, y: place, as of a payload [m].
     """
 
@@ -285,8 +285,8 @@ class Gust(Ramped):
     """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
 
     Attributes:
-        force: to the right [N]; below 0 it is from the right.
-        height: over the ground at which it acts [m].
+        force: force to the right [N]; a negative force acts to the left.
+        height: height above the ground at which the force acts [m].
     """
 
     kind: ClassVar[str] = "gust"

@@ -24,8 +24,8 @@ class Surface:
     """Heights of a road on a grid.
 
     Attributes:
-        u: along the road [m], shape (P,).
-        v: across it, to the left [m], ascending, shape (Q,).
+        u: distances along the road [m], shape (P,).
+        v: distances across the road, to the left [m], ascending, shape (Q,).
         z: heights [m], shape (P, Q).
         source: the file.
     """
@@ -39,7 +39,7 @@ class Surface:
         """Returns the surface from a distance on [m].
 
         Raises:
-            InputError: it does not reach there.
+            InputError: the surface does not reach there.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)
@@ -49,7 +49,7 @@ class Surface:
 
         Args:
             track_width: distance from the right wheels to the left ones [m].
-            speed: [m/s].
+            speed: vehicle speed [m/s].
 
         Raises:
             InputError: the surface is too narrow, or has a hole.

@@ -36,7 +36,7 @@ class Profile(MeasuredRoad):
 
     Attributes:
         distance: ascending [m], shape (P,).
-        heights: of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left one.
+        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
         speed: V [m/s].
         source: the file.
         join: "straight" or "smooth".
@@ -63,7 +63,7 @@ class Profile(MeasuredRoad):
         """Checks the profile as any road, and that what is driven is no steeper than a road can be.
 
         Raises:
-            InputError: it is, as in wrong units.
+            InputError: the road is too steep, for example because of wrong units.
         """
         super().check(vehicle, time)
         x, z = self._driven(self.speed * float(time[-1]))
@@ -206,9 +206,9 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
     """Returns the points of a road from a distance on, with one more there, on the line between its neighbours.
 
     Args:
-        start: [m].
+        start: distance at which the road starts [m].
         distance: ascending [m], shape (P,).
-        heights: [m], shape (P, K).
+        heights: heights of the points [m], shape (P, K).
 
     Raises:
         InputError: the road does not reach there.
@@ -227,8 +227,8 @@ def check_points(
     """Checks that points make a profile.
 
     Args:
-        distance: [m], shape (P,).
-        heights: of the left and the right track [m], shape (P, 2).
+        distance: distances of the points [m], shape (P,).
+        heights: heights of the left and the right track [m], shape (P, 2).
         where: index -> what a message calls the point.
         smooth: True for a spline, which needs more points, without gaps.
 
@@ -245,14 +245,14 @@ def check_ascending(
     """Checks that points are enough, finite, and ascend; those of a spline without a gap.
 
     Args:
-        what: what they make, for messages.
+        what: name of the road, for messages.
         x: distance or time, shape (P,); axis: which of them; unit: its unit.
-        heights: [m], shape (P, K).
+        heights: heights of the points [m], shape (P, K).
         where: index -> what a message calls the point.
         smooth: True for a spline.
 
     Raises:
-        InputError: they are not.
+        InputError: the points are not ascending.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:

@@ -33,7 +33,7 @@ class Rig(MeasuredRoad):
 
     Attributes:
         time: ascending [s], shape (P,).
-        heights: [m], shape (P, K).
+        heights: heights of the posts [m], shape (P, K).
         posts: wheel on each post: the name of its road signal or its road's body, or the suffix of either; K of them.
         source: the file.
 
@@ -158,8 +158,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     """Checks that points make the histories of posts.
 
     Args:
-        time: [s], shape (P,).
-        heights: of every post [m], shape (P, K).
+        time: times of the heights [s], shape (P,).
+        heights: heights of the posts [m], shape (P, K).
         where: index -> what a message calls the point.
 
     Raises:

@@ -134,7 +134,7 @@ class Road(ABC):
         """Checks that a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
 
         Raises:
-            InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or is too low.
+            InputError: the road ends within two timesteps, is under one side of a vehicle with one track, or is too low.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
@@ -173,7 +173,7 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
     """Refuses a road with a number beyond its limits (smallest, largest), by name, or on an unknown track.
 
     Raises:
-        InputError: it names the number, and the range; or the track.
+        InputError: a number out of range, or an unknown track; the message contains its name and the range.
     """
     for name, (smallest, largest) in limits.items():
         value = plain(getattr(road, name))
@@ -412,8 +412,8 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     """Returns means of a function over intervals, same shape as t; exact if it is a line or a cubic between knots.
 
     Args:
-        function: continuous.
-        knots: ascending, shape (K,).
+        function: function to average, continuous.
+        knots: points at which the function has a kink, ascending, shape (K,).
         t: middles of the intervals.
         length: length of each.
     """

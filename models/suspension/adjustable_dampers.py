@@ -33,7 +33,7 @@ class Adjustable:
     Attributes:
         force: the input that it replaces, its force beyond the nominal damper's.
         ending: suffix of the names at its suspension.
-        damper: its limits.
+        damper: limits of the damper.
         nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
     """

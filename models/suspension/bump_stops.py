@@ -207,7 +207,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
     """Returns the stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
 
     Args:
-        section: as it was read, of stops alone.
+        section: section of the file, of stops alone.
         corners: names of the suspensions' corners; empty for a single suspension.
 
     Raises:

@@ -28,7 +28,7 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
 
     Args:
         spec: the model, its parameters written into it.
-        prefix: how the names of the actuators begin.
+        prefix: beginning of the actuators' names.
         rest: the length at rest of every tendon [m].
 
     Raises:

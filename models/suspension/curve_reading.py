@@ -26,7 +26,7 @@ def thinned(x: Array, force: Array, error: float) -> Array:
     between.
 
     Args:
-        x: ascending, with rest, 0, among them, shape (n,).
+        x: points of the curve, ascending, with rest, 0, among them, shape (n,).
         force: shape (n,).
         error: largest allowed error, in the force's unit.
     """
@@ -82,7 +82,7 @@ class Argument:
     """Argument of a curve.
 
     Attributes:
-        name: its key.
+        name: key of the argument.
         unit: SI unit.
         largest: largest allowed value; larger ones are in another unit.
         small: the likely wrong unit.

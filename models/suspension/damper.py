@@ -43,7 +43,7 @@ class Pair:
     """Curves of an adjustable damper.
 
     Attributes:
-        soft, hard: at its softest and at its firmest setting.
+        soft, hard: curves at the softest and at the firmest setting.
     """
 
     soft: ForceCurve
@@ -132,10 +132,10 @@ class Damper:
     """Adjustable damper.
 
     Attributes:
-        c_min, c_max: its smallest and its largest coefficient [N s/m]; with curves, at rest.
+        c_min, c_max: smallest and largest coefficient [N s/m]; with curves, at rest.
         bandwidth: corner frequency of its valve, a first-order lag from the set coefficient to the acting one [rad/s]; None for
             a valve without lag.
-        pair: its curves; None if they are straight.
+        pair: curves of the damper; None if they are straight lines.
     """
 
     c_min: float

@@ -58,7 +58,7 @@ class DesignConditions:
     Attributes:
         noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
         bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
-        loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
+        loads: loads on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances in addition to the road.
     """
 
     given_as = "design conditions, such as vehicle.hardware(name) returns"
@@ -82,9 +82,9 @@ class ControllerEntry:
     """Section `[controllers.NAME]` of a vehicle file.
 
     Attributes:
-        name: its name.
+        name: name of the controller.
         measured: signals it measures, q of them.
-        law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
+        law: law from the q measurements to the m forces if the file contains its numbers; None if the law is to be designed.
         certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
         design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
             `QUADRATIC` or `PREVIEW`; empty for the paper's two steps.
@@ -92,13 +92,13 @@ class ControllerEntry:
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
         sampled: True if it is designed for the sampled loop.
         goals: goals of its design; None for the least norm.
-        semi_active: its law for adjustable dampers, without any claim; None for all others.
+        semi_active: semi-active law for dampers, without any linear claim; None for all other controllers.
         stable: True if its law of full order is to be stable by itself.
         fastest_pole: largest magnitude of the poles of the loop of its law of full order [rad/s]; None without a limit.
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
-        structure: of the law that is designed; None for no restriction, or for a static gain.
+        structure: structure of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
-        preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
+        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
@@ -187,8 +187,8 @@ def read_controllers(
     """Reads `[controllers]`: entries by name in the normal form NFC, in which names that look alike are equal.
 
     Args:
-        limits, implementation, kind: of the vehicle, for controllers that are designed for them.
-        folder: of the vehicle file and of laws in Python; None for a vehicle file from text.
+        limits, implementation, kind: properties of the vehicle, for controllers that are designed for them.
+        folder: folder of the vehicle file and of laws in Python; None for a vehicle file from text.
         sampled: default of `sampled` in a section.
         dampers: suffix of the names at every adjustable damper, by force.
     """

@@ -15,7 +15,7 @@ def check_integrals(
 
     Args:
         entry: a controller.
-        integrals: of the vehicle's z, by name of the state.
+        integrals: integrals of the vehicle's z, by name of the state.
         heard: noise of its sensors, an rms by signal.
         sampled: True if its designs are for the sampled loop.
 

@@ -27,7 +27,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         Its matrices as in TOML, or its gain; and its sample period [s], None for a continuous or static law.
 
     Raises:
-        InputError: it is not such a file, or does not contain exactly one controller.
+        InputError: the file is not of this format, or does not contain exactly one controller.
     """
     where, values = _only_controller(_variables(content))
     matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones

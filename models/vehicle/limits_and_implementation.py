@@ -140,11 +140,11 @@ class Implementation:
     """Implementation of the controller: sampling, delay, noise and quantisation.
 
     Attributes:
-        sample_period: of the controller [s], a multiple of the timestep; None: the timestep itself.
-        delay: from a measurement to the force computed from it, in samples of the controller; a whole number of them is an int.
+        sample_period: sample period of the controller [s], a multiple of the timestep; None for the timestep itself.
+        delay: delay from a measurement to the force computed from it, in samples of the controller; an int if it is an integer.
         noise: rms of the white noise on a measured signal, by signal, in its unit.
         quantisation: resolution of a measured signal, by signal, in its unit.
-        seed: of the noise.
+        seed: seed of the noise.
     """
 
     given_as = "an implementation, such as vehicle.implementation"
@@ -276,8 +276,8 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
     mass or without springs.
 
     Args:
-        parameters: of the vehicle, by name [SI].
-        limits: of the vehicle.
+        parameters: parameters of the vehicle, by name [SI].
+        limits: limits of the vehicle.
     """
     mass = parameters.get("sprung_mass", 0.0)
     k, c = (
@@ -329,7 +329,7 @@ def check_period(name: str, period: float | None, implementation: Implementation
     """Checks that a law with its own sample period is implemented with it.
 
     Args:
-        period: of its law [s]; None for a law without one.
+        period: sample period of the law [s]; None for a law without one.
 
     Raises:
         InputError: the periods differ.

@@ -185,7 +185,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
         drawn: False drops visual parts; a step then has the same numbers and takes a twentieth less.
 
     Raises:
-        InputError: see `build_spec`; or the model does not match the equations.
+        InputError: an error of `build_spec`, or a model that does not match the equations.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn

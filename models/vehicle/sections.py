@@ -32,10 +32,10 @@ class WeightedSum:
     """Row of z: a weight times a sum of signals, through a filter.
 
     Attributes:
-        name: its name, or that of its only signal.
-        weight: above 0.
+        name: name of the sum, or of its only signal.
+        weight: weight of the sum, above 0.
         terms: factor of each signal.
-        filter: from the weighted sum to z; None for none.
+        filter: filter from the weighted sum to z; None for no filter.
     """
 
     given_as = "a weighted sum, such as one of vehicle.sums"
@@ -257,10 +257,10 @@ def weighted_errors_of(
     """Returns the weighted errors of a controller, or None if it has none; arguments and errors as for `read_weighted_errors`.
 
     Args:
-        parts: of the controller's section.
+        parts: parts of the controller's section.
 
     Raises:
-        InputError: there is no linear claim of the controller.
+        InputError: linear analysis does not apply to the controller.
     """
     if not given:
         return None
@@ -297,7 +297,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
 
     Args:
         usual: the value if the section has none.
-        period: of `[implementation]`; None without one.
+        period: sample period of `[implementation]`; None without one.
 
     Raises:
         InputError: the value is not allowed, or there is no sample period.

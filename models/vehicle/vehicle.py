@@ -54,7 +54,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     """Returns the kind of vehicle of that name: a shipped one, or one with `.py` and `.xml` in a folder of the user's.
 
     Raises:
-        InputError: there is no such kind, or the user's own code is wrong.
+        InputError: the kind does not exist, or the user's own code is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -78,7 +78,7 @@ class Vehicle(ShownVehicle):
         kind: equations and MJCF.
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
-        controllers: by name, without `passive` and `state`, which always exist.
+        controllers: controllers by name, without `passive` and `state`, which always exist.
         text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
             Laws in Python stay named.
         source: path of the file, for messages.
@@ -88,7 +88,7 @@ class Vehicle(ShownVehicle):
         filters: filter from a weighted signal to z, by signal; signals of constant weight have none.
         road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
-        curves: of dampers and springs, by the parameter that each replaces.
+        curves: curves of dampers and springs, by the parameter that each curve replaces.
         dampers: adjustable dampers in place of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
         force_limits: limits with those of actuators that push, for the controllers that drive these in place of the dampers.
@@ -235,7 +235,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
 
         Raises:
-            InputError: some drive dampers, others actuators that push.
+            InputError: some controllers drive dampers, others force actuators.
         """
         named = [name for name in names if name in self.controllers]
         pushing = [name for name in named if self.driven_by(name) is not self]
@@ -310,7 +310,7 @@ class Vehicle(ShownVehicle):
         """Returns the output signals and, after them, the sums in z without their weights.
 
         Args:
-            values: with the p output signals along an axis.
+            values: values with the p output signals along an axis.
             axis: the axis.
         """
         if not self.sums:
@@ -384,7 +384,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with its parameters and weights checked together, which `dataclasses.replace` does not do.
 
         Raises:
-            InputError: they are no vehicle together, or do not go with its curves, dampers or filters.
+            InputError: the parts are not a vehicle together, or do not fit its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
         outputs = self.kind.whole_model(parameters).outputs
@@ -446,7 +446,7 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
     """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
 
     Args:
-        file: its path, or name.
+        file: path or name of the vehicle file.
         own_kinds: True if it may be of a user's own kind, whose Python is then run.
 
     Raises:
@@ -481,7 +481,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             such law can be run.
 
     Raises:
-        InputError: see `read_vehicle`; or it names a file for a law, which is read only for vehicle files, not for text.
+        InputError: an error of `read_vehicle`, or a law in a file of its own, which is read only for vehicle files, not for text.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

@@ -45,7 +45,7 @@ def read_weighted_errors(
     """Reads the entries of a `tolerance` that are tables.
 
     Args:
-        given: those entries.
+        given: entries of the section.
         others: names of its other entries.
 
     Raises:

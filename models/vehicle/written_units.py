@@ -22,7 +22,7 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     """Returns the data of a vehicle file with SI numbers in place of numbers with units.
 
     Args:
-        kind: of the vehicle, whose parameters and signals have units.
+        kind: kind of the vehicle, whose parameters and signals have units.
 
     Raises:
         InputError: a unit is unknown, or of another dimension than its key.
@@ -58,7 +58,7 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
     """Returns a value of a vehicle file in SI units.
 
     Args:
-        units: of the value, see above, or a function from the value to them; None for a value without unit.
+        units: units of the value, see above, or a function from the value to them; None for a value without unit.
         path: names of its sections, and its key.
     """
     units = units(value) if callable(units) and not isinstance(value, list) else units

@@ -177,7 +177,7 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     """Returns the rows of some runs of one vehicle, or None if stopped.
 
     Args:
-        stopped: asked now and then whether to give up.
+        stopped: function that returns True to abort; called from time to time.
     """
     keys = [plan.key(run) for run in range(start, stop)]
     campaign, rows = plan.campaign, {}

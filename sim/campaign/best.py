@@ -44,9 +44,9 @@ class Request:
     """The metric of `--best` and the limits of `--subject-to`.
 
     Attributes:
-        metric: of which the least is best.
+        metric: metric that is minimised.
         limits: the most that other metrics may be, in SI units.
-        units: of the limits; empty for numbers without one.
+        units: units of the limits; empty for numbers without one.
     """
 
     metric: str
@@ -69,13 +69,13 @@ class Choice:
     """The best of a vehicle's controllers, or the one nearest to the limits.
 
     Attributes:
-        vehicle: its name in the campaign.
-        request: what was asked for.
+        vehicle: name of the vehicle in the campaign.
+        request: request of the user.
         candidate: the controller; None if none has numbers.
-        values: drawn keys of its law.
-        numbers: of the metrics that were asked for.
-        within: how many candidates are within the limits; 0 if the candidate is only the nearest.
-        count: how many candidates there are.
+        values: keys of the law that were drawn.
+        numbers: values of the requested metrics.
+        within: number of candidates within the limits; 0 if the candidate is only the nearest.
+        count: number of candidates.
         near: relative distances of the candidates that the table's digits do not tell from the best, by name.
     """
 
@@ -221,7 +221,7 @@ def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> 
     """Returns the choice of every vehicle.
 
     Args:
-        standings: of all candidates, by vehicle.
+        standings: standings of all candidates, by vehicle.
     """
     return [_choice(plan, store, request, vehicle, some) for vehicle, some in standings.items()]
 
@@ -275,11 +275,11 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     A variant becomes a section NAME_tuned; another controller stands in the file as it is. A comment says where it comes from.
 
     Args:
-        command: that was called.
+        command: command line that was called.
         identity: checksum of the campaign.
 
     Raises:
-        InputError: it cannot be written, or would not be read back as it is.
+        InputError: the file cannot be written, or would not be read back with the same values.
     """
     candidate, vehicle = choice.candidate, campaign.vehicles[choice.vehicle]
     assert candidate is not None, "there is one"

@@ -30,7 +30,7 @@ class Column:
 
     Attributes:
         kind: int, float or str.
-        about: its `unit`, its `definition` and, for an approximate expectation, `approximate`.
+        about: metadata of the column: `unit`, `definition` and, for an approximate expectation, `approximate`.
     """
 
     kind: type

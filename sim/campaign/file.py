@@ -29,17 +29,17 @@ class Campaign:
     """A campaign, as its file says.
 
     Attributes:
-        vehicles: as they are read, by the name that the file has for them.
+        vehicles: vehicles by their names in the campaign file.
         controllers: names; every vehicle has them all.
-        roads: what was asked for.
-        speeds: [m/s].
-        seeds: of the random roads; other roads run once.
-        duration: of every run [s].
+        roads: roads that are requested.
+        speeds: speeds of the vehicle [m/s].
+        seeds: seeds of the random roads; other roads run once.
+        duration: duration of every run [s].
         settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
-        timestep: [s].
+        timestep: timestep of the physics [s].
         samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
-        variants: of every vehicle and controller whose law is drawn, by variant: values by key.
-        sample_seed: of samples and variants.
+        variants: values by key for each variant, of every vehicle and controller whose law is drawn.
+        sample_seed: seed of samples and variants.
         text: the file.
     """
 
@@ -93,7 +93,7 @@ def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
     """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
 
     Args:
-        own_kinds: as for `read_vehicle`.
+        own_kinds: folder of custom vehicle types, as in `read_vehicle`.
     """
     with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent, own_kinds)

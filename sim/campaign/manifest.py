@@ -54,7 +54,7 @@ class Manifest:
         """Writes it into the results folder.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         with whole_file(folder / NAME, "results", FULL) as path:
             path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8", newline="\n")
@@ -137,7 +137,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
-        InputError: it cannot be made or written, or another campaign is running in it.
+        InputError: the folder cannot be created or written, or another campaign is running in it.
     """
     with made_folder(folder, "results", "name another folder with --results"):
         lock = filelock.FileLock(folder / LOCK, timeout=0)

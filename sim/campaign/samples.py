@@ -36,9 +36,9 @@ class Distribution:
     """Distribution of a parameter.
 
     Attributes:
-        name: of the parameter.
+        name: name of the parameter.
         shape: "uniform", from a to b, or "normal", of mean a and standard deviation b, cut at three of them.
-        a, b: in SI, or multiples of each vehicle's own value.
+        a, b: numbers of the distribution in SI units, or multiples of each vehicle's own value.
         relative: True for multiples.
     """
 
@@ -69,8 +69,8 @@ class Draws:
 
     Attributes:
         vehicles: parameters of every vehicle, by sample: values by name. One empty sample where none are drawn.
-        laws: of every vehicle and controller whose law is drawn, by variant: values by key.
-        seed: of the draws.
+        laws: values by key for each variant, of every vehicle and controller whose law is drawn.
+        seed: seed of the draws.
     """
 
     vehicles: Mapping[str, tuple[Mapping[str, float], ...]]

@@ -288,7 +288,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
-        entries: what it came to, see `summarise`.
+        entries: results of the campaign, see `summarise`.
 
     Returns:
         None if no run has both metrics.
@@ -352,7 +352,7 @@ def _finding(panels: Sequence[Panel], end: str) -> str:
     """Returns who rides best and who holds the road best, in how many panels; an empty text without a choice.
 
     Args:
-        end: of the labels of one vehicle, which is left out.
+        end: ending of the labels of one vehicle, which is omitted.
     """
     best = [one for panel in panels if (one := _best(panel, end))]
     if not best:
@@ -381,10 +381,10 @@ class RoadAndSpeed:
     Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, and without adjustable dampers.
 
     Attributes:
-        plan: of the campaign.
-        name: of the vehicle, in it.
+        plan: plan of the campaign.
+        name: name of the vehicle in the campaign.
         vehicle: itself.
-        road, speed: where.
+        road, speed: conditions of the runs.
     """
 
     plan: Plan

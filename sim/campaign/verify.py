@@ -45,14 +45,14 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
     """Checks a finished campaign.
 
     Args:
-        plan: its runs, with the gains that its folder holds.
-        count: how many runs are driven again.
-        own: whether laws in Python are run.
-        progress: is told how many are done.
+        plan: plan with the runs, and the gains in the campaign's folder.
+        count: number of runs that are driven again.
+        own: True to run laws in Python.
+        progress: callback that receives the number of finished runs.
 
     Raises:
         InputError: the campaign is not finished.
-        FaultError: its results are no Parquet file.
+        FaultError: the results of the campaign are not a Parquet file.
     """
     if not store.finished:
         left = sum(stop - start for start, stop in store.missing())

@@ -35,10 +35,10 @@ class Driven:
 
     Attributes:
         vehicle: vehicle of the file.
-        title: its name in the answer; empty if it is the only one.
+        title: title of the answer; empty if it is the only one.
         names: requested controllers.
         runs: runs of the controllers as built, then of those without a part of the vehicle.
-        without: omitted part for each run; empty as built.
+        without: omitted part for each run; empty as implemented.
         design: designs the vehicle's linear controllers.
     """
 
@@ -116,9 +116,9 @@ def drive(
     """Runs the command; returns its exit code.
 
     Args:
-        options: as the command's parser read them.
+        options: options from the command's parser.
         road_of: returns the requested road under a vehicle at its sample times [s].
-        where: describes the road in words.
+        where: function that describes the road in words.
         rides: True to measure the ride, and the response to a step.
 
     Raises:

@@ -136,7 +136,7 @@ def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Ar
     """Returns the response of the sampled loop, from rest.
 
     Args:
-        loop: at the timestep of the road's samples.
+        loop: loop at the timestep of the road's samples.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     return sampled_responses(loop, [road], exponential).run(0)

@@ -98,7 +98,7 @@ def preview_forces(
 
     Args:
         heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
-        timestep: [s].
+        timestep: timestep of the forces [s].
         samples: T.
     """
     ahead = [one.preview if isinstance(one, Controller) else None for one in controllers]
@@ -128,11 +128,11 @@ class PythonLaws:
 
         Args:
             controllers: N laws.
-            vehicles: one for each controller.
+            vehicles: vehicles, one for each controller.
             signals: names of the signals that can be measured.
-            timestep: [s].
+            timestep: timestep of the runs [s].
             heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
-            failures: receives failures, whose runs go on without forces, or None to raise them.
+            failures: dict that receives failures, whose runs continue without forces, or None to raise them.
             numbers: keys of the runs in `failures`.
 
         Raises:
@@ -277,7 +277,7 @@ class Dampers:
         """Writes the dampers' signals among those of some samples, shape (B, S, N).
 
         Args:
-            commands: see `CoefficientRange.commands`, shape (B, N, 2 m).
+            commands: commands as in `CoefficientRange.commands`, shape (B, N, 2 m).
             acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
         vehicle, m = self.vehicles[0], len(self.closing)

@@ -108,7 +108,7 @@ class BatchInputs:
         controllers: N controllers, all linear, all in Python, all semi-active, or all played.
         now: road heights at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
-        timestep: [s].
+        timestep: timestep of the physics [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
         going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An

@@ -186,7 +186,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
-        held: see `BatchInputs`.
+        held: signals that are held over a step, see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.

@@ -184,9 +184,9 @@ def frequency_section(
     """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps.
 
     Args:
-        scope: what the report is about.
-        sweeps: of the same; none in a quick report.
-        speed: [m/s].
+        scope: subject of the report.
+        sweeps: sweeps of the controllers; none in a quick report.
+        speed: vehicle speed [m/s].
     """
     drawn = sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own)
     figure = replace(drawn, name="frequency-responses")

@@ -35,11 +35,11 @@ class Ride:
     """Metric of one controller over the roads of one class; numbers are NaN if they do not exist.
 
     Attributes:
-        road_class: of ISO 8608.
-        controller: its name.
-        metric, unit: of the numbers.
-        measured: in MuJoCo, root mean square over the seeds.
-        predicted: from the class' spectrum.
+        road_class: road class of ISO 8608.
+        controller: name of the controller.
+        metric, unit: name and unit of the metric.
+        measured: root mean square over the seeds, measured in MuJoCo.
+        predicted: prediction from the spectrum of the class.
         spread: standard deviation from road to road.
         events: frequency of lift-offs on these roads, in words.
     """

@@ -32,7 +32,7 @@ class Exported:
     """A folder of exported code.
 
     Attributes:
-        folder: its path.
+        folder: path of the folder.
         driver: the controller that its code drives.
     """
 
@@ -49,18 +49,18 @@ class Scope:
 
     Attributes:
         vehicle: the vehicle.
-        designer: its designs.
-        controllers: those that are reported, of which linear analysis speaks.
-        timestep: of the physics [s].
-        quick: without margins, map and ride.
-        progress: is told what is being done.
-        laws: those in Python, and semi-active ones, of which it does not.
+        designer: designer of the controllers.
+        controllers: controllers that are reported and have a linear law.
+        timestep: timestep of the physics [s].
+        quick: True to omit margins, map and ride.
+        progress: callback that receives the name of the present step.
+        laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
-        loads: that are put on the body on a flat road.
+        loads: loads on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
         own_road: the road that all is driven over in place of the paper's bump; None for that.
-        road_name: its name, as it was given.
-        duration: of the runs over either [s].
+        road_name: name of the road as given.
+        duration: duration of the runs over either road [s].
     """
 
     vehicle: Vehicle

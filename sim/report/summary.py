@@ -33,8 +33,8 @@ def first_screen(
 
     Args:
         compared: the controllers' standings, over the roads of `compared_on`.
-        dive: of every controller under braking [deg]; empty for a vehicle that cannot pitch.
-        where: on which roads, in words.
+        dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
+        where: roads of the comparison, in words.
     """
     wanted = requirements_table(scope, runs)
     tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, where))

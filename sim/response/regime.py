@@ -55,12 +55,12 @@ class End:
     """End of the linear regime.
 
     Attributes:
-        name: in tables, maps and JSON.
+        name: name in tables, maps and JSON.
         happens: the event in words.
         event: name of its first time among a log's events; empty if it is not logged.
         verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
-        color: in a map, on light ground.
-        marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
+        color: colour in a map, on a light background.
+        marker: marker on curves, on a dark background: its shape, as Rerun names it, and a colour that no curve has.
         thresholds: function that returns the thresholds of a vehicle; empty if it has no such limit.
         exact: True if the exact response continues beyond it, and only linearity ends.
     """
@@ -358,7 +358,7 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_wi
     """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
-        factors: also negative, as over a hole; shape (N,).
+        factors: factors on the height, negative for a hole; shape (N,).
         anti_windup: True if the law of the response has anti-windup.
     """
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))

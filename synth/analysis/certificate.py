@@ -320,7 +320,7 @@ def certify(
         G: the gain from measurements (6), taken without rounding; or a state gain, shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
-        lower_bound: on the norm of any controller of the gain's kind.
+        lower_bound: lower bound on the norm of any controller of the gain's type.
         by_itself: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the filter
             states. Default: the plant.
 

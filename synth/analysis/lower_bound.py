@@ -151,7 +151,7 @@ class _Dual:
     """The numbers e, t and V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact; of an antistable part bounds, e from below and t from above.
+        e, t: numbers of the solution, exact; for an antistable part bounds, e from below and t from above.
         V: V_T in floats; near I on the central path.
         lost: bound on the error of each entry of V.
         T: floats that count as exact, shape (a, a).

@@ -86,7 +86,7 @@ class ScaledGain:
     """Loops under the gains S_u K S_y.
 
     Attributes:
-        plant: continuous, n states, m inputs, d controlled outputs, r disturbances.
+        plant: plant in continuous time with n states, m inputs, d controlled outputs and r disturbances.
         K: shape (m, q).
         Cy, Dyw, Dyu: y = C_y x + Dyw w + Dyu u, shapes (q, n), (q, r) and (q, m).
         before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.Mapped`.
@@ -220,8 +220,8 @@ class ParameterDependentLyapunov:
     """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
 
     Attributes:
-        X: at every corner, in the order of `Box.vertices`, shape (2^k, n, n).
-        F, G: the same for all corners, shapes (n, n).
+        X: matrices at the corners, in the order of `Box.vertices`, shape (2^k, n, n).
+        F, G: slack matrices, the same for all corners, shapes (n, n).
         gamma: the bound; infinite for stability alone.
     """
 
@@ -278,7 +278,7 @@ class ParameterDependentKYP:
     same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
 
     Attributes:
-        P, Q: at every corner, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
+        P, Q: matrices at the corners, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
         W: shape (n, 2 n + r).
         low, high: the band [rad/s].
         gamma: the bound.

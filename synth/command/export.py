@@ -28,7 +28,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     """Writes the folder of one controller and prints what is in it; returns the exit code.
 
     Raises:
-        InputError: there is no such controller, it cannot be exported, or the folder is not empty.
+        InputError: the controller does not exist or cannot be exported, or the folder is not empty.
     """
     names = [name for name in vehicle.controller_names if name != "passive"]
     given = options.controller or []
@@ -92,7 +92,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: one is not written so, out of range, or given twice.
+        InputError: a range does not have this form, is out of range, or is given twice.
     """
     ranges = {}
     for text in given:

@@ -58,7 +58,7 @@ class Problem:
         integrated: factors of the readings in each integral that is measured with them, shape (j, q - j); the integrals are the
             last j measurements. None for j = 0.
         integrals: states of the plant that are integrals, by index.
-        measured_integrals: those that are measured, in the order of `integrated`.
+        measured_integrals: integrals that are measured, in the order of `integrated`.
         states: names of the plant's states.
     """
 
@@ -102,7 +102,7 @@ class Problem:
         """Returns the loop of a law on the readings, as its certificate is of.
 
         Raises:
-            InputError: see `closed_loop`.
+            InputError: an error of `closed_loop`.
         """
         law = law.continuous()
         if not self.integrals:
@@ -192,9 +192,9 @@ def generalized_plant(
 
     Args:
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
-        acting: behind a lag, z weights the acting control force, as in the built system. Else it weights the requested force,
-            which the controller decides.
-        loads: on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
+        acting: True to weight the acting control force behind a lag in z, as in the implemented system. Otherwise z weights the
+            requested force, which the controller decides.
+        loads: loads on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
     _check_integrals(vehicle, model)
@@ -309,7 +309,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
-        bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
+        bandwidth: corner frequency of the actuator lag, as in `generalized_plant`; behind a lag the feedthrough is zero.
 
     Raises:
         InputError: a signal this vehicle has not.

@@ -25,7 +25,7 @@ class StackedBarrier:
 
     Args:
         constant: (20) of V loops with X = 0, shape (V, n + d, n + d).
-        system: [A; C] of each, shape (V, n + d, n).
+        system: matrices [A; C] of the systems, shape (V, n + d, n).
     """
 
     def __init__(self, constant: Array, system: Array) -> None:

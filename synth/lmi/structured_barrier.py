@@ -33,7 +33,7 @@ class Basis:
     For one plant, or for a stack of plants of the same shape along leading axes (...).
 
     Args:
-        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        system: matrices [A B Bw; C D Dw], shape (..., k, n + m + r).
         n, m, free: number of states, of inputs, and of columns of Q.
         step: sample period of a discrete plant [s]; 0 for a continuous one.
 
@@ -199,8 +199,8 @@ class _Run:
     """Unknowns in the same row of [X; Y].
 
     Attributes:
-        row: its index.
-        others: their columns.
+        row: index of the row.
+        others: columns of the other entries.
         begin, end: range of their indices.
         upper, lower: positions of the unknowns of X from `begin` on, and of their mirror images, in a flat square matrix of rows
             and columns `row` to n.
@@ -233,7 +233,7 @@ class StructuredBarrier:
     """Constraints on the unknowns of (22) or (25).
 
     Args:
-        constraints: all of the same n and m.
+        constraints: constraints with the same n and m.
         n, m, free: number of states, of inputs, and of columns of Q.
     """
 

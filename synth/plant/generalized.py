@@ -175,8 +175,8 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
     """Returns [A; C] + [B; D] G, rounded once, and the rounding error.
 
     Args:
-        open_loop: [A; C], shape (n + d, n).
-        inputs: [B; D], shape (n + d, m).
+        open_loop: open loop [A; C], shape (n + d, n).
+        inputs: inputs [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
         beyond: true A and C less their floats, shape (n + d, n); None if they are exact.
     """
@@ -266,8 +266,8 @@ def measurement_matrices(
 
     Args:
         Cy: a row for each measured signal.
-        Dyw: likewise; zero if it is not given.
-        through: what the forces do to the measurements at once, shape (q, m); zero if it is not given.
+        Dyw: feedthrough from w to the measurements; zero if it is not given.
+        through: feedthrough from the forces to the measurements, shape (q, m); zero if it is not given.
 
     Raises:
         InputError: the plant has no state, a matrix is not one of real finite numbers of its shape, no signal is measured, or one

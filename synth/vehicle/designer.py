@@ -185,12 +185,13 @@ class Designer:
 
         Args:
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
-            on_progress: called with what a design for goals has reached, as it goes on.
+            on_progress: callback that receives the progress of a design for goals.
 
         Raises:
             InputError: no controller has that name.
-            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported unchanged. If the
-                two steps cannot be completed, descent on the norm continues instead; see `Controller.fallback_method`.
+            DesignError: the controller could not be designed, or its certificate fails. A gain from the file is reported
+                unchanged. If the two steps cannot be completed, descent on the norm continues instead; see
+                `Controller.fallback_method`.
         """
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -268,7 +269,7 @@ class Designer:
         """Certifies a known law from measurements to forces under any name, unchanged.
 
         Raises:
-            InputError: it has another number of signals or forces, or no loop.
+            InputError: the gain has another number of signals or forces, or there is no loop.
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
@@ -360,7 +361,7 @@ class Designer:
 
         Raises:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
-            DesignError: it does not stabilise the vehicle, or no start leads to a gain.
+            DesignError: the gain does not stabilise the vehicle, or no start leads to a gain.
         """
         from synth.vehicle.refined import refined
 

@@ -36,7 +36,7 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     """The vehicles that a design is for.
 
     Raises:
-        InputError: one cannot be.
+        InputError: a vehicle cannot be in a family with the others.
     """
     members = []
     for i, member in enumerate(goals.family or ({},)):
@@ -173,7 +173,7 @@ def goals_design(
 
     Args:
         posed: the problem of its certificate: z of `[performance]` at all frequencies.
-        on_progress: called with what is reached, as it is.
+        on_progress: callback that receives the progress of the search.
 
     Raises:
         DesignError: no controller was found.
@@ -227,7 +227,7 @@ def verify_specifications(
     """Verifies a given gain against the goals of its section.
 
     Args:
-        search: include the ratio to each vehicle's own optimum in a family, which takes designs.
+        search: True to include the ratio to each vehicle's own optimum in a family, which requires designs.
 
     Raises:
         DesignError: a vehicle of the family has no gain within the bounds by itself, if its ratio is included.
@@ -245,8 +245,8 @@ def cost_of_structure(
 
     Args:
         problem: the problem, with the structure.
-        design: its design, from which the full gain descends for a limited number of rounds.
-        on_progress: called with what the full gain has reached.
+        design: design of the controller, from which the full gain descends for a limited number of rounds.
+        on_progress: callback that receives the progress of the full gain.
     """
     if np.all(problem.structure):
         return ()

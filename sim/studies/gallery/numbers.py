@@ -188,7 +188,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     """Returns when a signal stays within a band around zero, from when the road begins [s].
 
     Raises:
-        InputError: it does not, or is never outside.
+        InputError: the signal does not settle, or is never outside the band.
     """
     begins = float(one.road.get("start", 0.0))
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)

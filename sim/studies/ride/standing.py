@@ -180,8 +180,8 @@ class ComparedColumn:
 
     Attributes:
         measure: the column.
-        numbers: for every controller, the best marked.
-        changes: against passive [%]; None if they are not shown.
+        numbers: numbers of the controllers, the best marked.
+        changes: differences from passive [%]; None if they are not shown.
     """
 
     measure: Measure

@@ -33,8 +33,8 @@ class StepMetrics:
     Attributes:
         peak: the largest value in the direction of the step if the signal is a height, else the value of largest size.
         peak_time: time of the peak [s].
-        overshoot: for a height, excess of the peak over the step, relative to the step; for other signals the largest value of
-            the opposite sign after the peak, over the peak.
+        overshoot: excess of the peak of a height over the step, relative to the step; for other signals the largest value of the
+            opposite sign after the peak, over the peak.
         settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
         iae: integral of the absolute error over the run [unit s].
@@ -90,7 +90,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     """Checks the band of settling times [%].
 
     Raises:
-        InputError: it is out of range, or was given for a road other than a step.
+        InputError: the band is out of range, or was given for a road other than a step.
     """
     low, high = BANDS
     if not low <= percent <= high:

@@ -130,7 +130,7 @@ def envelope_figure(
 
     Args:
         cells: cells of the grid, the last axis running fastest.
-        axes: one or two axes; with one, the shares of the way to each end are drawn.
+        axes: axes of the map, one or two; with one, the shares of the way to each end are drawn.
         fixed: values that are not varied.
         threshold: error up to which linear analysis holds.
         loads: loads on the body over every bump.

@@ -40,7 +40,7 @@ class ExportedLaw:
 
     Attributes:
         name: prefix of all its names in C.
-        controller: its name in the vehicle file.
+        controller: name of the controller in the vehicle file.
         numbers: "double", "float", "int32" or "int16".
         period: seconds between samples; None if it needs none, as it has no states.
         inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
@@ -58,7 +58,7 @@ class ExportedLaw:
         coefficients: numbers of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
         ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
-        range_sources: where each range is from, in words.
+        range_sources: source of each range, in words.
     """
 
     name: str
@@ -123,10 +123,10 @@ def exported_law(
     Args:
         vehicle: the vehicle, with its limits and implementation.
         driver: a controller of it.
-        numbers: see `ExportedLaw`.
+        numbers: number format, as in `ExportedLaw`.
         name: prefix in C.
         ranges: largest magnitude of each reading, by name, for fixed point; a reading with a proved peak may be left out.
-        sources: where ranges are from, by name, if they were not given.
+        sources: sources of ranges that were not given, by name.
 
     Raises:
         InputError: the controller is a law in Python or an FMU, has states but no sample period, or sets dampers with curves.

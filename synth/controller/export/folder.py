@@ -189,8 +189,8 @@ class ExportedFolder:
     """An exported folder.
 
     Attributes:
-        folder: its path.
-        vehicle: read from its vehicle file.
+        folder: path of the folder.
+        vehicle: vehicle from the folder's vehicle file.
         law: the law that was exported, from that file.
         failures: a line for each file that is missing or changed.
     """

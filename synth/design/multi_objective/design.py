@@ -78,7 +78,7 @@ def multi_objective_design(
     Args:
         problem: goals, bounds and plants.
         starts: gains to start from, shape (m, q) each, in addition to the search's own.
-        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
@@ -117,8 +117,8 @@ def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, 
 
     Args:
         problem: the design's own, but for the structure.
-        design: to start from.
-        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+        design: design to start from.
+        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
     """
     found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)

@@ -36,7 +36,7 @@ class FrontAxis:
 
     Attributes:
         name: ride, travel, road_holding, force, band or tolerance.
-        norm: its signals and band.
+        norm: norm of the axis, with its signals and band.
         off: relative error of each reading; then the axis is the worst norm.
         meaning: description on one line.
         unit: unit of the norm, per m/s of road velocity.
@@ -187,8 +187,8 @@ class AxisValue:
 
     Attributes:
         value: the norm.
-        proved: what it is proved to lie below.
-        at: where it is reached [rad/s]; NaN of one with errors.
+        proved: upper bound that is proved.
+        at: frequency at which the norm is attained [rad/s]; NaN for a norm with errors.
     """
 
     value: float

@@ -34,7 +34,7 @@ class EvaluatedGain:
     Attributes:
         x: point of the landscape.
         values: norms of the axes, shape (K,).
-        excess: over the worst bound, relative; see `Evaluation`.
+        excess: excess over the worst bound, relative; see `Evaluation`.
     """
 
     x: Array
