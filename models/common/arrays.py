@@ -28,7 +28,7 @@ def check_unmasked(name: str, value: object) -> None:
         InputError: a value is masked; the message names the array.
     """
     if is_masked(value):
-        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or leave them out")
+        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or omit them")
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:

@@ -119,7 +119,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option that takes a finite number, or one with its unit, such as 90km/h; `unset` says what None does."""
+        """Adds an option that takes a finite number, or a number with its unit, such as 90km/h; `unset` describes the default None."""
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
         self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
@@ -131,15 +131,15 @@ class Parser(argparse.ArgumentParser):
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """Adds an option that takes a whole number from `low` to `high`, or several; `unset` is its default."""
+        """Adds an option that takes an integer from `low` to `high`, or several; `unset` is its default."""
 
         def count(text: str) -> int:
             try:
                 value = int(text)
             except ValueError:
-                raise argparse.ArgumentTypeError(f"{text!r} is not a whole number; give one from {low} to {high}") from None
+                raise argparse.ArgumentTypeError(f"{text!r} is not an integer; give one from {low} to {high}") from None
             if not low <= value <= high:
-                raise argparse.ArgumentTypeError(f"{text} is not allowed; give a whole number from {low} to {high}")
+                raise argparse.ArgumentTypeError(f"{text} is not allowed; give an integer from {low} to {high}")
             return value
 
         nargs = "+" if many else None
@@ -182,7 +182,7 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
     if not given and not usual:
         raise InputError(f"no controller is given; give --controller with one of: {ALL}, {', '.join(names)}")
     if given and ALL in given and len(given) > 1:
-        raise InputError(f"--controller {ALL} includes every controller; give it alone, or leave it out")
+        raise InputError(f"--controller {ALL} includes every controller; give it alone, or omit it")
     if given == [ALL]:
         return list(names)
     return list(given or usual)
@@ -205,7 +205,7 @@ def chosen_of(
     selected = {key: [name for name in every if name in names] for key, names in vehicles.items()}
     for key, names in vehicles.items():
         if not selected[key]:
-            raise InputError(f"--vehicle {key} has none of the controllers {listing(every)}; it has {listing(names)}")
+            raise InputError(f"--vehicle {key} does not have any of the controllers {listing(every)}; it has {listing(names)}")
     return selected
 
 
@@ -279,7 +279,7 @@ def _example(line: str) -> list[str]:
 
 def _text(text: str) -> str:
     if not text.strip():
-        raise argparse.ArgumentTypeError("is empty; give it a value or leave the option out")
+        raise argparse.ArgumentTypeError("is empty; give a value or omit the option")
     return text
 
 

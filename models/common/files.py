@@ -94,7 +94,7 @@ def together() -> Iterator[None]:
     try:
         yield
         for beside, target in waiting:
-            with _writing(target, "output", "mend that and try again"):
+            with _writing(target, "output", "fix the cause and try again"):
                 beside.replace(target)
     finally:
         _waiting.reset(token)

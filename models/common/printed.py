@@ -40,7 +40,7 @@ def cell(value: float | None, form: str, unit: str = "") -> str:
 
 
 def as_name(name: str) -> str:
-    """Returns a controller's name as it stands in a sentence: in backticks, of which a page makes code and a picture quotes."""
+    """Returns a controller's name for a sentence: in backticks, which a page shows as code and a picture as quotes."""
     return f"`{name}`"
 
 

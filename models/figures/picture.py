@@ -41,7 +41,7 @@ def check_drawing() -> None:
     try:
         _matplotlib()
     except ImportError:
-        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
+        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
 
 
 def _matplotlib() -> Any:

@@ -68,7 +68,7 @@ class Parameter(Checked):
         largest: largest allowed value.
         usual: default value; None for a parameter without one.
         smallest: smallest allowed value; None for 0, or the least positive one.
-        optional: True if a vehicle file may leave it out, which is not the same as any value.
+        optional: True if a vehicle file may omit it, which is not the same as any value.
     """
 
     name: str

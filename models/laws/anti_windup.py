@@ -47,7 +47,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
         pass
     raise InputError(
         f"anti_windup = {law.anti_windup:g}: a state of this law that is slower than that shows in no force, or hardly, so that "
-        "nothing tells it what is clipped; take it out of the law, or give a smaller rate"
+        "nothing tells it what is clipped; remove it from the law, or give a smaller rate"
     )
 
 

@@ -148,7 +148,7 @@ class LinearLaw:
         sizes = np.linalg.svd(loop, compute_uv=False)
         if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
             raise InputError(
-                "its force acts on what it measures at once, and I - D_c D is singular there: no force solves that loop; change "
+                "its force acts on its measurements immediately, and I - D_c D is singular there: no force solves that loop; change "
                 "the gain on the accelerations, or filter them"
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
@@ -262,5 +262,5 @@ def states_text(law: LinearLaw) -> str:
 
 
 def gain_text(gain: Array) -> str:
-    """Returns a gain matrix on one line, as a vehicle file has it."""
+    """Returns a gain matrix on one line, as in a vehicle file."""
     return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"

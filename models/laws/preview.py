@@ -74,7 +74,7 @@ class RoadPreview:
     def weights(self, period: float) -> Array:
         """Returns the forces per metre of height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
 
-        A preview that is no whole number of samples is cut to one.
+        A preview is rounded down to an integer number of samples.
         """
         count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
         if count == 1:

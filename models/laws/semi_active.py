@@ -261,7 +261,7 @@ class SemiActive:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as JSON has them."""
+        """Name, signals and law as in JSON."""
         return {"name": self.name, "measured": list(self.measured), **self.law.record}
 
 
@@ -291,7 +291,7 @@ def read_semi_active(
             raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r}; {known}, and measures what it needs")
     if absent := [force for force in inputs if force not in endings]:
         raise InputError(
-            f"{where} semi_active = {quoted(name)} sets adjustable dampers, and {absent[0]} is of none; give [actuators] "
+            f"{where} semi_active = {quoted(name)} sets semi-active dampers, and {absent[0]} does not belong to one; give [actuators] "
             'kind = "damper", c_min and c_max'
         )
     numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)
@@ -300,7 +300,7 @@ def read_semi_active(
         raise InputError(f'{where} semi_active = {quoted(name)} is of a body that pitches or rolls; give "skyhook_linear"')
     for key, mode in MODAL.items():
         if key in entry and mode not in modes:
-            raise InputError(f"{where} {key}: this vehicle has no {mode}; leave it out")
+            raise InputError(f"{where} {key}: this vehicle has no {mode}; omit it")
     read = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
     if lacking := [signal for signal in read.measured if signal not in outputs]:
         raise InputError(f"{where} semi_active = {quoted(name)} measures {lacking[0]!r}, which this kind of vehicle has not")

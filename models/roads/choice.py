@@ -95,7 +95,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         folder: base of relative file names.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
+        InputError: an unknown kind or name, a value that is not allowed, a file that is not a profile.
 
     Example:
         >>> from models import choose_road, read_vehicle
@@ -121,7 +121,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
-        with error_in(f"road {text!r}: an OpenCRG file says its own units and joins its own points;"):
+        with error_in(f"road {text!r}: an OpenCRG file contains its own units and interpolation;"):
             given = settings(file["settings"], DRIVEN[:1])
         return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:

@@ -76,7 +76,7 @@ def check_seed(seed: Any) -> int:
         InputError: the seed is not an integer, or is out of range.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MOST_SEED:
-        raise InputError(f"seed = {seed!r} is not allowed; give a whole number from 0 to {MOST_SEED}")
+        raise InputError(f"seed = {seed!r} is not allowed; give an integer from 0 to {MOST_SEED}")
     return seed
 
 
@@ -98,7 +98,7 @@ class Iso8608(Road):
         iri: mean IRI of such roads [m/km], before the factor, instead of a class; None if a class is given.
 
     Raises:
-        InputError: an unknown class, a class and an IRI, a seed that is no whole number, another number beyond `LIMITS`.
+        InputError: an unknown class, a class and an IRI, a seed that is not an integer, another number beyond `LIMITS`.
     """
 
     road_class: str = "C"

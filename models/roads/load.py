@@ -7,10 +7,10 @@ sprung mass m_s, whose centre is h over the ground,
     braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
     a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
 
-Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file says what links do: its roll centres,
-pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and
-what the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes. It does not
-sway; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
+Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file defines suspension links: roll centres,
+a pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). The links' share of braking, cornering and gust loads,
+and the inertia of the wheels, then act as loads on the wheels. A payload adds weight but no inertia, and it does not sway. To model
+its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
 """
 
 import math

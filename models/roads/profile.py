@@ -60,7 +60,7 @@ class Profile(MeasuredRoad):
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks the profile as any road, and that what is driven is no steeper than a road can be.
+        """Checks the profile as any road, and that the driven part is not steeper than a road can be.
 
         Raises:
             InputError: the road is too steep, for example because of wrong units.
@@ -71,7 +71,7 @@ class Profile(MeasuredRoad):
         if slope > STEEPEST:
             raise InputError(
                 f"{x[-1] - x[0]:.4g} m in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} to {z.max():.4g} m: "
-                f"an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
+                f"an rms slope of {slope:.3g}, steeper than any road; if distances are in km, or heights in mm, add "
                 ":distance_unit=km or :height_unit=mm"
             )
 

@@ -144,7 +144,7 @@ class Road(ABC):
             )
         if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
             raise InputError(
-                f"the road lies under the {self.track} side, and a {vehicle.kind.name} has only one track; leave track out"
+                f"the road is under the {self.track} side, and a {vehicle.kind.name} has only one track; omit track"
             )
         heights = under_wheels(self.displacement, self, vehicle, time)
         if heights.ndim != 2 or len(heights) != len(time) or not np.all(np.isfinite(heights)):

@@ -173,7 +173,7 @@ def _stiffness(where: str, value: Any) -> Stiffness:
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
     if not 1 <= len(value) <= MOST:
         raise InputError(
-            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop squeezed by x they push "
+            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they push "
             "back with k_1 x + k_2 x^2 + k_3 x^3"
         )
     units = ("N/m", "N/m2", "N/m3")
@@ -214,7 +214,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
     """
     if section and not corners:
-        raise InputError(f"[limits] {next(iter(section))}: this kind of vehicle has no suspension to stop; leave it out")
+        raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
     common, known = {name: value for name, value in section.items() if name in STOP_KEYS}, places_of(corners)
     places = [_place("[limits]", "", common)]
     for name, value in section.items():
@@ -240,7 +240,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             for side in SIDES:
                 if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
                     where = f" of {corner}" if corner else ""
-                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness has none; give it there, too")
+                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness does not; give it there, too")
     return tuple(places)
 
 

@@ -174,11 +174,11 @@ def _check_argument(x: Array, over: Argument) -> None:
             f"{over.name}, each once"
         )
     for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
-        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}, too near; leave one out")
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}, which is too near; omit one of them")
     if not x[0] < 0 < x[-1]:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
-            "squeezed, above 0 where it stretches"
+            "compressed, above 0 where it extends"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
@@ -196,8 +196,8 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
-            f"its force at rest is {at_rest:g} N, and a damper's is 0; take off the force of its gas, which the "
-            "spring's preload has"
+            f"its force at rest is {at_rest:g} N, and a damper's is 0; subtract the force of its gas, which is "
+            "part of the spring's preload"
         )
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
@@ -243,7 +243,7 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
             if x * force < 0:
                 raise InputError(
                     f"its force at {x:g} m/s is {force:g} N: that feeds energy in, where a damper takes it; give forces of the "
-                    "velocity's sign, both positive where the suspension stretches"
+                    "velocity's sign, both positive where the suspension extends"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(

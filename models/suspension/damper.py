@@ -176,12 +176,12 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         check_keys(where, value, KEYS)
     by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
     if not by_force and section:
-        raise InputError("[actuators]: this kind of vehicle has no suspension with a force; leave the section out")
+        raise InputError("[actuators]: this vehicle type has no suspension with a force; omit the section")
     dampers = {force: damper for force, damper in by_force.items() if damper is not None}
     if dampers and limited:
         raise InputError(
-            f"[limits] {limited[0]} is of actuators that push, and [actuators] has adjustable dampers, which c_min, c_max and "
-            'bandwidth limit; leave it out, or give controllers that push actuators = "force"'
+            f"[limits] {limited[0]} is for force actuators, and [actuators] has semi-active dampers, which c_min, c_max and "
+            'bandwidth limit; omit the key, or give controllers of force actuators actuators = "force"'
         )
     return dampers
 
@@ -208,7 +208,7 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
             )
         return None
     if absent := [name for name in CURVED if name not in numbers]:
-        raise InputError(f"{where} {absent[0]} is missing; an adjustable damper has c_min and c_max [N s/m]")
+        raise InputError(f"{where} {absent[0]} is missing; a semi-active damper has c_min and c_max [N s/m]")
     pair = _pair(where, numbers)
     if pair is not None:
         numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}

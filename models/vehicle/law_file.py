@@ -76,7 +76,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
             f"[A, B, C, D, Ts] = ssdata({name}); {SAVE}"
         )
     others = [name for name in variables if not name.startswith("__")]
-    raise InputError(f"contains no A, B, C, D, and no K; it has {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
+    raise InputError(f"contains neither A, B, C, D nor K, but {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
 
 
 def _numbers(name: str, value: Any) -> Array:

@@ -65,7 +65,7 @@ class Limits:
 
     @property
     def written(self) -> dict[str, str]:
-        """The given limits as a vehicle file has them, by key; values of one side by `key.side`."""
+        """The given limits as in a vehicle file, by key; values of one side by `key.side`."""
         given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
         if not self.stopped:
             return {name: f"{value:g}" for name, value in given.items()}
@@ -245,7 +245,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
         values_by_key["sample_period"] = period
-    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
+    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "integer")):
         value = section.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
@@ -305,15 +305,15 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     """Returns the number of timesteps that the controller holds its force.
 
     Raises:
-        InputError: the sample period is no multiple of the timestep, or the delay none.
+        InputError: the sample period or the delay is not a multiple of the timestep.
     """
     period, delay = implementation.sample_period, implementation.delay
     steps = 1 if period is None else round(period / timestep)
     if period is not None and (steps < 1 or abs(steps * timestep / period - 1) > 1e-9):
-        raise InputError(f"sample_period = {period:g} s is no multiple of the timestep, {timestep:g} s; give such a one")
+        raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is no multiple of the timestep, {timestep:g} s, and no "
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and no "
             f"force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps

@@ -107,7 +107,7 @@ def read_performance(
             continue
         if signal == ROAD:
             if not isinstance(given, Mapping) or "weight" in given:
-                raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
+                raise InputError(f"{where} = {quoted(given)} is not a filter; give a numerator and a denominator, and no weight")
             road_filter = _filter(where, given, integrates=False)
             continue
         if signal not in outputs:
@@ -120,7 +120,7 @@ def read_performance(
         check_weight(where, weight)
         weights[signal] = float(weight)
     if not any(weights.values()) and not sums:
-        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(outputs)}")
+        raise InputError(f"[performance] has no weight above 0; give at least one, to: {listing(outputs)}")
     return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
 
 
@@ -283,7 +283,7 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
         return ()
     given = entry["loads"]
     if not isinstance(given, Mapping) or not given:
-        raise InputError(f"{where} loads = {quoted(given)} is no table; give {{ load = so much as counts as 1 m/s of road }}")
+        raise InputError(f"{where} loads = {quoted(given)} is not a table; give {{ load = the value that counts as 1 m/s of road }}")
     for name, value in given.items():
         if name not in loads:
             raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
@@ -306,6 +306,6 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     if value and period is None:
         raise InputError(
             f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
-            "seconds, or leave sampled out"
+            "seconds, or omit sampled"
         )
     return value

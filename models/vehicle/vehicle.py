@@ -60,7 +60,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
         return importlib.import_module(f"models.{name}").KIND
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
-        beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
+        beside = f", or next to the vehicle file: {name}.py and {name}.xml" if folder else ""
         raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
     from models.kinds.user_kind import read_kind
 
@@ -130,7 +130,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
         Raises:
-            InputError: a parameter is unknown or not allowed, or they are no vehicle together.
+            InputError: a parameter is unknown or not allowed, or they are not a vehicle together.
 
         Example:
             >>> from models import read_vehicle
@@ -242,8 +242,8 @@ class Vehicle(ShownVehicle):
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
-                f"{listing(pushing)} drive actuators that push, and {listing(others)} adjustable dampers; this command takes "
-                "one sort: name the controllers of one with --controller"
+                f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
+                "one sort: select controllers of one sort with --controller"
             )
         return self.with_force_actuators if pushing else self
 
@@ -371,7 +371,7 @@ class Vehicle(ShownVehicle):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it"
+                f"--save {path}: the vehicle file could not be read there ({error}); give a file next to it"
             ) from error
         return text
 
@@ -436,7 +436,7 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop to analyse; name another controller, or drive this one "
+                f"controller {name!r} is {what}, which has no linear loop to analyse; give another controller, or drive this one "
                 "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
@@ -465,7 +465,7 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
     with error_in(f"vehicle file {path}:"):
         if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
             raise InputError(
-                f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
+                f"type = {quoted(name)} is a custom vehicle type, whose Python would be run, and this is not allowed here"
             )
         whole, files = whole_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)

@@ -45,9 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError("no campaign was named; give a campaign file (TOML), or --verify with a folder of results")
     for name in ("runs", "seed") if options.verify is None else ():
         if name in options.given:
-            raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
+            raise InputError(f"--{name} selects what --verify drives again; give it with --verify, or omit it")
     if options.verify is not None and options.exported is not None:
-        raise InputError("--verify drives a controller as its campaign did, and finds the code there; leave --as out")
+        raise InputError("--verify drives a controller as its campaign did, and finds the code there; omit --as")
     from sim.campaign.command import check_results, run_campaign
 
     return run_campaign(options) if options.verify is None else check_results(options)

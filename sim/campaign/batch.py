@@ -136,7 +136,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
-    """The sampled loop as `sim.linear.sampled_response` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump
+    """The sampled loop as in `sim.linear.sampled_response`: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump
     z_r.
 
     Loads f add of_loads f, and of_felt times those of the step before, by way of measured accelerations; so do they to outputs.

@@ -1,4 +1,4 @@
-"""The columns of a campaign's results: name, type, and what the number is, as the Parquet file has it beside each."""
+"""The columns of a campaign's results: name, type and description, as in the metadata of the Parquet file."""
 
 from dataclasses import dataclass
 

@@ -49,7 +49,7 @@ def designed_at_start(campaign: Campaign, gains: Gains, folder: Path) -> Control
         gains: gains in the campaign's folder.
 
     Raises:
-        FaultError: gains are missing, or are no gains.
+        FaultError: gains are missing, or are not gains.
         InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
     """
 
@@ -124,7 +124,7 @@ def check_code(gains: Gains, exported: Path) -> None:
 
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
     if sha256(read_text(exported / MANIFEST, "manifest", "name a folder of --export")) not in codes:
-        raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")
+        raise InputError(f"--as {exported}: the campaign began without this code; give another folder with --results")
 
 
 def _strange(error: Exception) -> FaultError:

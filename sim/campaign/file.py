@@ -164,10 +164,10 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
             )
         return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
-        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds; give how many, or a list of whole numbers")
+        raise InputError(f"seeds = {quoted(seeds)} is invalid; give a number of seeds or a list of integers")
     checked_seeds = tuple(check_seed(seed) for seed in seeds)
     if len(set(checked_seeds)) < len(checked_seeds):
-        raise InputError("seeds has one twice; name each once")
+        raise InputError("seeds contains a duplicate; list each seed once")
     return checked_seeds
 
 
@@ -179,7 +179,7 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
     if not isinstance(values, list):
         raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
     if not values:
-        raise InputError(f"{key} = [] names none, so there are no runs; {give}")
+        raise InputError(f"{key} = [] is empty, so there are no runs; {give}")
     return values
 
 
@@ -189,7 +189,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     for value, meant in zip(written, read, strict=True):
         if meant in first:
             twice = f" names {first[meant]} twice" if first[meant] == quoted(value) else None
-            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; name each once")
+            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; list each once")
         first[meant] = quoted(value)
 
 

@@ -140,7 +140,7 @@ class Plan:
                 start = end
 
     def inputs(self, key: RunKey) -> dict[str, Any]:
-        """Returns the inputs of a run as its row has them."""
+        """Returns the inputs of a run as in its row."""
         c = self.campaign
         name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
         sample, controller = c.samples[name][key.sample], c.controllers[key.controller]

@@ -86,7 +86,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         raise InputError("'samples' is not a section; write it as [samples]")
     check_keys("[samples]", section, SAMPLES)
     if "count" not in section:
-        raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] 'count' is missing; give how many samples, an integer from 1 to {MOST_RUNS}")
     count, method = _count(section, "count"), section.get("method", "latin_hypercube")
     if method not in METHODS:
         raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {listing(METHODS)}")
@@ -98,7 +98,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         )
     if "variants" in section and len(drawn) < len(DRAWN):
         raise InputError(
-            "[samples] variants is how many laws are drawn beside 'count' vehicles, and one of both is; leave it out"
+            "[samples] variants is the number of laws drawn for each of 'count' vehicles, and no law is drawn; omit it"
         )
     variants = _count(section, "variants") if "variants" in section else count
     seed = check_seed(section.get("seed", 0))
@@ -120,7 +120,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
 def _count(section: Mapping[str, Any], key: str) -> int:
     count = section[key]
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give an integer from 1 to {MOST_RUNS}")
     return count
 
 
@@ -139,7 +139,7 @@ def _vehicle_samples(
     for name, vehicle in vehicles.items():
         samples[name] = _drawn(distributions, _values(vehicle), method, count, seed)
         for row in samples[name]:
-            with error_in(f"[samples] a sample of vehicle {name!r} is no vehicle:"):
+            with error_in(f"[samples] a sample of vehicle {name!r} is not a valid vehicle:"):
                 sampled = with_sample(vehicle, row)
                 vehicle.kind.check(sampled.parameters)
                 _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
@@ -159,7 +159,7 @@ def _variants(
         with error_in(f"{where} vehicle {name!r}:"):
             value = check_key(vehicle, controller, one.name)
         if one.relative and value is None:
-            raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; leave relative out")
+            raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; omit relative")
         own[one.name] = value
         for end in one.ends:
             with error_in(f"{where} the distribution reaches a value that is none, for vehicle {name!r}:"):
@@ -196,7 +196,7 @@ def _unit_samples(method: str, dimensions: int, count: int, seed: int) -> Array:
 def _distribution(where: str, name: str, entry: Any, unit: str = "") -> Distribution:
     example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
+        raise InputError(f"{where} = {quoted(entry)} is not a distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
     shapes = [key for key in entry if key != "relative"]
     if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
         raise InputError(

@@ -126,7 +126,7 @@ def _near(one: Array, two: Array, share: float) -> bool:
 
 
 def _asked(law: LinearLaw) -> list[float]:
-    """Frequencies at which a law with states is told from another [rad/s], from below its slowest pole to above its fastest."""
+    """Frequencies at which two dynamic controllers are compared [rad/s], from below its slowest pole to above its fastest."""
     poles = np.linalg.eigvals(law.A)
     if law.sample_period is None:
         rates = np.abs(poles)

@@ -201,7 +201,7 @@ def check_view(options: argparse.Namespace) -> None:
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; leave one out"
+            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; omit one of them"
         )
     if options.open:
         from sim.command.viewer import check_display

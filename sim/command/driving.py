@@ -225,10 +225,10 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
             raise InputError(f"--without {part} is given twice; give it once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file has that in [limits], [implementation] or [actuators]; leave it out"
+                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit --without {part}"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
-        raise InputError("--as drives one vehicle as it is built; leave --without and further --vehicle out")
+        raise InputError("--as drives one vehicle as implemented; omit --without and give one --vehicle")
     if len(vehicles) > 1 and (options.open or options.serve):
         raise InputError("--open and --serve show the recording of one vehicle, and each has its own; give one --vehicle")
 

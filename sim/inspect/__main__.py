@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or a single file that is no log of ours.
+        InputError: bad options, or a single file that is not a log of Roadproof.
     """
     options = _parser().parse_args(arguments)
     from models.figures.outputs import check_outputs
@@ -43,11 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.inspect.report import proof_lines, proof_object
 
     if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(f"kinds {options.kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
+        raise InputError(f"kinds {options.kinds}: there is no such folder; give the folder with the .py and .xml of a custom vehicle type")
     if len(options.logs) > 1:
         if options.csv is not None:
             raise InputError(
-                f"--csv writes the signals of one log, and {len(options.logs)} were named; give one, or leave it out"
+                f"--csv writes the signals of one log, and {len(options.logs)} are given; give one log, or omit --csv"
             )
         return _several(options.logs, options.kinds, options.verbose, options.json)
     (path,) = options.logs
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: bool) -> int:
-    """Inspects logs in turn, and keeps none; a file that is no log is said, and the others are inspected all the same.
+    """Inspects logs in turn. A file that is not a log gets a message, and the others are inspected.
 
     Args:
         full: True for all findings, else a line for each log.

@@ -85,7 +85,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run, driven by its exported code, which is made anew, if such code drove the run.
+    """Returns the controller of a run, driven by its exported code, which is generated again, if such code drove the run.
 
     Raises:
         InputError: the record is not a controller of this vehicle, or its code does not exist.

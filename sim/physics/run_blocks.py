@@ -205,7 +205,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
     if coded:
         if undelayed is not None or len(periods) > 1:
-            raise InputError("exported code drives whole controllers of one sample period; leave out --as")
+            raise InputError("exported code drives whole controllers of one sample period; omit --as")
         noise = measurement_noise([one.implementation for one in vehicles], _seen_names(readout, dampers), len(now))
         if len(noise):
             for i, one in enumerate(controllers):

@@ -171,7 +171,7 @@ def _reported(
     pool: "WorkerPool",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
-    """A report whose page is written, with its figures where they are asked for."""
+    """A report whose page is written, with its figures if they are requested."""
     from models.common.errors import InputError
     from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import report, stages
@@ -189,7 +189,7 @@ def _reported(
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
-        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or leave --{given[0]} out")
+        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or omit --{given[0]}")
     if options.front is not None:
         from sim.report.front import check_front
 
@@ -241,7 +241,7 @@ def _gallery(options: argparse.Namespace) -> int:
         if getattr(options, of)
     } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
-        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
+        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; omit one of them")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
@@ -277,7 +277,7 @@ def _about(source: str) -> dict[str, str]:
 
 
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
-    """Writes a page, with its figures where they are asked for: all of it, or nothing."""
+    """Writes a page, with its figures if they are requested: all of it, or nothing."""
     from models.common.files import made_folder, together
     from models.figures.page import write_page
 

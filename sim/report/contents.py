@@ -283,7 +283,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
 
 
 def report_object(report: Report) -> dict[str, Any]:
-    """Answer, tables and standings as JSON has them."""
+    """Answer, tables and standings as in JSON."""
     page = report.page
     tables = {
         table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]

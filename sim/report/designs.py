@@ -116,7 +116,7 @@ def _known(scope: Scope) -> str:
 
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
-    """Returns the table of controllers' goals, with the numbers as `python -m synth` has them, or None without goals."""
+    """Returns the table of controllers' goals, with the numbers of `python -m synth`, or None without goals."""
     columns: tuple[Column[tuple[str, Specification]], ...] = (
         Column("controller", lambda of: of[0]),
         Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),

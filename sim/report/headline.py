@@ -228,7 +228,7 @@ def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | N
 
 
 def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Statement]:
-    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
+    """Returns the bump height at which the linear regime ends, bracketed by two MuJoCo runs; nothing if it ends on the paper's bump."""
     if not ends:
         return []
     wrong, none = unclaimed(ends, runs), unclaimed_words(scope, ends, runs)

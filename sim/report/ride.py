@@ -173,7 +173,7 @@ class OverRoads:
         self.found = meter.result()
 
     def standing(self) -> Standing:
-        """Returns where the controller stands on the roads of the class `AVERAGE`, if none of its runs broke off there."""
+        """Returns the standing of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return standing(self.vehicle, self.controller.name, {})

@@ -233,7 +233,7 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
     """Checks that a vehicle can be reported at this timestep, before any work.
 
     Raises:
-        InputError: the timestep is too coarse, or the controller's sample period is no multiple of it.
+        InputError: the timestep is too coarse, or the controller's sample period is not a multiple of it.
     """
     check(vehicle, (), AMPLITUDE, timestep)
     steps_per_sample(vehicle.implementation, timestep)

@@ -36,7 +36,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         raise InputError(f"--export writes one controller; give --controller with one of: {', '.join(names)}")
     name, folder = one_chosen(names, given[0] if given else None), options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
+        raise InputError(f"--export {folder}: is there already, and not empty; give another folder, or remove it")
     prefix = c_name(name)
     saved, own = saved_with_law(vehicle, name)
     driver = driver_of(saved, own)

@@ -63,16 +63,16 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
             "only"
         )
     if options.ranges and options.numbers not in ("int32", "int16"):
-        raise InputError("--range is of whole numbers; give --export with --numbers int32 or int16, or leave it out")
+        raise InputError("--range is of integers; give --export with --numbers int32 or int16, or omit it")
     if options.export is None and "numbers" in options.given:
-        raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
+        raise InputError("--numbers is of the code of --export; name its folder with --export, or omit it")
     fmu = options.export is not None and options.export.suffix.lower() == ".fmu"
     for name in ("part", "fmi"):
         if not fmu and name in options.given:
-            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or leave it out")
+            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or omit it")
     for name in ("csv", "point"):
         if options.front is None and name in options.given:
-            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
+            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or omit it")
     return options
 
 

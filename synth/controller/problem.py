@@ -156,7 +156,7 @@ def problem(
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
                 "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
-                "velocity has a filter in [performance] road; leave one of the three out"
+                "velocity has a filter in [performance] road; omit one of the three"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     states = plant_states(vehicle, hardware.bandwidth)

@@ -317,7 +317,7 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented leave it out"
+            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented omit it"
         )
     return lines
 

@@ -193,7 +193,7 @@ def design_feedback(
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain goes with a static gain of the least norm alone; leave it out, or give goals "
+            f"{WHERE} largest_gain goes with a static gain of the least norm alone; omit it, or give goals "
             'bounds = [{"gain": ...}]'
         )
     law_structure = asked.structure({"order": order} | own) if of_law else None

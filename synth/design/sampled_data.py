@@ -150,7 +150,7 @@ def check_size(problem: SampledDataProblem) -> None:
     if n + m * late > MOST_STATES:
         raise TooLargeError(
             f"forces of {late} samples on their way make it {n + m * late} states, and the sampled loop is designed for with at "
-            f"most {MOST_STATES}; leave sampled = true out, for the continuous design runs at any delay, or give a longer sample "
+            f"most {MOST_STATES}; omit sampled = true, for the continuous design runs at any delay, or give a longer sample "
             "period or a shorter delay"
         )
 

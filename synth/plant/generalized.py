@@ -94,7 +94,7 @@ class GeneralizedPlant:
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
-                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, of zeros if there is none")
+                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, zeros if nothing acts there")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
             raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
@@ -241,7 +241,7 @@ def check_posed(plant: GeneralizedPlant) -> None:
         InputError: Bw and Dw are zero, or C and D are.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw)):
-        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; give at least one nonzero entry")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
 
@@ -305,4 +305,4 @@ def _refuse_silent(rows: Array, name: str, of: str) -> None:
     silent = np.flatnonzero(sizes < SMALLEST)
     if len(silent):
         what = "zero" if sizes[silent[0]] == 0 else f"below {SMALLEST:g}"
-        raise InputError(f"row {silent[0]} of {name} is {what}: that signal says nothing {of}; leave it out")
+        raise InputError(f"row {silent[0]} of {name} is {what}: the signal contains no information on the {of}; omit the row")

@@ -41,7 +41,7 @@ def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
 
-NOT_REFINED = "and what is refined is a static gain, which has none; leave --refine out"
+NOT_REFINED = "and what is refined is a static gain, which has none; omit --refine"
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:

@@ -126,7 +126,7 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
             f"{where}: {pushed[0]!r} has the road's velocity in it, by the damping of the tyre, and no peak or energy of it is "
-            "bounded; leave it out, or tyre_damping"
+            "bounded; omit it, or tyre_damping"
         )
 
 
@@ -158,7 +158,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
+        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; omit them")
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):

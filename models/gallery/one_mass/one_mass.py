@@ -1,4 +1,4 @@
-"""Mass on a spring and a force that stand on the road: one degree of freedom, for laws in closed form."""
+"""Mass on a spring and a force actuator, both on the road: one degree of freedom, for laws in closed form."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Half-car whose suspensions stand on the road, without wheels: the second example of a kind of one's own.
+"""Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
 
 The equations are those of Simulink's demonstration of a half-car. Its springs feel the road, its dampers the body alone.
 """

@@ -122,7 +122,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     above, off = np.imag(zeros), np.abs(np.real(zeros))
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
     if not len(on_axis):
-        raise InputError(f"{one.signal} has no zero on the imaginary axis from {model.inputs[0]}; name another signal")
+        raise InputError(f"{one.signal} has no zero on the imaginary axis from {model.inputs[0]}; give another signal")
     return float(on_axis.min()), None
 
 
@@ -256,7 +256,7 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     """
     if one.what not in OF_A_GRID or not one.timestep / 10 <= one.grid <= one.duration:
         raise InputError(
-            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; leave it out"
+            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; omit it"
         )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)

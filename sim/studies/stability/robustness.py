@@ -109,7 +109,7 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
                 f"--vary {text}: {quoted(name)} is not a parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
             )
         if again := [one for one in names if any(one in others for others in variations.values())]:
-            raise InputError(f"--vary {text}: {again[0]} is varied twice; leave one of them out")
+            raise InputError(f"--vary {text}: {again[0]} is varied twice; omit one of them")
         try:
             low, high = map(float, numbers)
         except ValueError:

@@ -38,7 +38,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
-    """The map as JSON has it: SI units, None for what never happens."""
+    """The map as in JSON: SI units, None for what never happens."""
     return {
         "controller": controller,
         "axes": {axis.name: list(axis.values) for axis in axes},

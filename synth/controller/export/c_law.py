@@ -142,7 +142,7 @@ def exported_law(
         raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
     if how.delay != int(how.delay):
         raise InputError(
-            f"delay = {how.delay:g} samples is not a whole number; code gives forces at samples: give {int(how.delay)}"
+            f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}"
         )
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
@@ -210,7 +210,7 @@ def _ranges(
         raise InputError("fixed point sets forces, and this vehicle has adjustable dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; leave it out")
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")
     known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
@@ -247,7 +247,7 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; in fixed point both are whole numbers."""
+        """Returns the outputs for the inputs of a sample; in fixed point both are integers."""
         if self.law.fixed is not None:
             return self._late(self._whole(self.law.fixed, [int(value) for value in seen]))
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):

@@ -200,7 +200,7 @@ class _Search:
                 raise InfeasibleError(
                     f'structure = "{structure.kind}" has an integral that no force moves: its pole at 0 stays in the loop, as no '
                     "constant force changes what is measured, and no norm is finite; measure a signal that a constant force "
-                    "changes, as a deflection, or leave the integral out"
+                    "changes, as a deflection, or omit the integral"
                 )
 
     def certified(self, law: LinearLaw) -> Certificate:

@@ -292,7 +292,7 @@ def full_order_design(
                 return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
         laws = [each for each in laws if each is not best]
     raise DesignError(
-        f"no law was found that is stable by itself, only one that is not{undescended}; leave stable = true out, or measure more"
+        f"no law was found that is stable by itself, only one that is not{undescended}; omit stable = true, or measure more"
     )
 
 

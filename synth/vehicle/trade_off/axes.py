@@ -118,7 +118,7 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
         off = float(given) / 100
     if vehicle.filtered:
         raise InputError(
-            "--front tolerance: weights of [performance] that are filters are not looked at with errors; leave tolerance out"
+            "--front tolerance: weights of [performance] that are filters are not looked at with errors; omit tolerance"
         )
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
@@ -154,7 +154,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
     }
     if not weights:
         raise InputError(
-            f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or leave {axis} out"
+            f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}"
         )
     return weights
 
@@ -163,7 +163,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
-        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; leave {axis} out")
+        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; omit {axis}")
     return weights
 
 

@@ -170,7 +170,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
         raise InputError(
-            f"controller {name!r}: --front with an integral in [performance]: its static gains have none; leave it out"
+            f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it"
         )
     return entry
 
