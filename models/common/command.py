@@ -61,7 +61,7 @@ class Parser(argparse.ArgumentParser):
         self.register("action", None, _Once)
         self.register("action", "store", _Once)
         self.register("action", "store_true", _Flag)
-        self.add_argument(TRACEBACK, action="store_true", help="show where an error comes from, for a report of it")
+        self.add_argument(TRACEBACK, action="store_true", help="show the traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
@@ -94,7 +94,7 @@ class Parser(argparse.ArgumentParser):
             action="append",
             type=_name,
             metavar="NAME",
-            help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
+            help=f"passive, state, a controller of the vehicle file, or all; may be repeated ({default})",
         )
         if several:
             self.add_argument(
@@ -103,23 +103,22 @@ class Parser(argparse.ArgumentParser):
                 action=_Vehicles,
                 default=("quarter_car",),
                 metavar="FILE",
-                help=f"vehicle file, or one that ships; may be repeated: {several} (default: quarter_car)",
+                help=f"vehicle file, or name of a built-in vehicle; may be repeated, for {several} (default: quarter_car)",
             )
         else:
             self._add_vehicle()
 
     def add_one(self, which: str) -> None:
         """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
-        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which}. Required")
+        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} (required)")
         self._add_vehicle()
 
     def _add_vehicle(self) -> None:
-        self.add_argument(
-            "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-        )
+        meaning = "vehicle file, or name of a built-in vehicle (default: quarter_car)"
+        self.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option that takes a finite number, or a number with its unit, such as 90km/h; `unset` describes the default None."""
+        """Adds an option that takes a finite number, or a number with its unit, such as 90km/h; `unset` describes None."""
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
         self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
@@ -153,14 +152,14 @@ class Parser(argparse.ArgumentParser):
             brief: help of `--brief`; empty for a command without it.
         """
         printed = self.add_mutually_exclusive_group()
-        printed.add_argument("-v", "--verbose", action="store_true", help=f"print {what}, too")
+        printed.add_argument("-v", "--verbose", action="store_true", help=f"also print {what}")
         if brief:
             printed.add_argument("--brief", action="store_true", help=brief)
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
-        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
+        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
 def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:

@@ -148,8 +148,8 @@ class LinearLaw:
         sizes = np.linalg.svd(loop, compute_uv=False)
         if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
             raise InputError(
-                "its force acts on its measurements immediately, and I - D_c D is singular there: no force solves that loop; change "
-                "the gain on the accelerations, or filter them"
+                "its force acts on its measurements immediately, and I - D_c D is singular there: no force solves that loop; "
+                "change the gain on the accelerations, or filter them"
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
         B = self.B @ through

@@ -291,8 +291,8 @@ def read_semi_active(
             raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r}; {known}, and measures what it needs")
     if absent := [force for force in inputs if force not in endings]:
         raise InputError(
-            f"{where} semi_active = {quoted(name)} sets semi-active dampers, and {absent[0]} does not belong to one; give [actuators] "
-            'kind = "damper", c_min and c_max'
+            f"{where} semi_active = {quoted(name)} sets semi-active dampers, and {absent[0]} does not belong to one; give "
+            '[actuators] kind = "damper", c_min and c_max'
         )
     numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)
     modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()

@@ -1,16 +1,19 @@
 """Loads on the body over time: external forces and moments.
 
-Braking, cornering, payload and wind act on a vehicle that goes straight ahead as a vertical force at the body's centre of mass, a
-pitch moment and a roll moment, signed as the body's motions are (up; nose down; right side down). They are d'Alembert's: with the
-sprung mass m_s, whose centre is h over the ground,
+The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
+mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions are
+up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
 
-    braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
-    a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
+    braking at a:              M_pitch = m_s a h
+    cornering left at a:       M_roll = m_s a h
+    payload m at (x, y):       F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file defines suspension links: roll centres,
-a pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). The links' share of braking, cornering and gust loads,
-and the inertia of the wheels, then act as loads on the wheels. A payload adds weight but no inertia, and it does not sway. To model
-its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
+The payload position (x forward, y to the left) is relative to the centre of mass.
+
+By default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead:
+roll centres, a pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). The links' share of braking,
+cornering and gust loads, and the inertia of the wheels, then act as loads on the wheels. A payload adds weight but no inertia,
+and it does not sway. To model its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
 """
 
 import math

@@ -69,9 +69,7 @@ class Rig(MeasuredRoad):
         for post in self.posts:
             if post_name(post) in _names(wheel):
                 return post
-        raise InputError(
-            f"no column is called {_names(wheel)[0]}, as its wheel is; the columns are {listing(self.posts[:20])}"
-        )
+        raise InputError(f"no column is called {_names(wheel)[0]}, as its wheel is; the columns are {listing(self.posts[:20])}")
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns zero: the vehicle stands."""
@@ -122,7 +120,7 @@ class Rig(MeasuredRoad):
             if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
-                    f"column {quoted(post)} does not belong to a wheel of this vehicle, whose wheels are {listing(names)}; omit it"
+                    f"column {quoted(post)} does not belong to a wheel of this vehicle; give {listing(names)}, or omit the column"
                 )
         super().check(vehicle, time)
 
@@ -169,8 +167,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     rises = np.abs(heights - heights[0])
     for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
         raise InputError(
-            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. If heights are in mm, add "
-            "the unit, as in front_left [mm]"
+            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. If heights are in mm, "
+            "add the unit, as in front_left [mm]"
         )
 
 

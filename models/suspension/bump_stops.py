@@ -173,8 +173,8 @@ def _stiffness(where: str, value: Any) -> Stiffness:
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
     if not 1 <= len(value) <= MOST:
         raise InputError(
-            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they push "
-            "back with k_1 x + k_2 x^2 + k_3 x^3"
+            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
+            "push back with k_1 x + k_2 x^2 + k_3 x^3"
         )
     units = ("N/m", "N/m2", "N/m3")
     least = (SMALLEST, 0.0, 0.0)

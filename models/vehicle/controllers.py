@@ -279,11 +279,13 @@ def _controller(
                     f"out of: {measurable}"
                 )
             raise InputError(
-                f"{where} {signal!r} contains the road's height in addition to the state, and loops are closed through the state alone; "
-                f"give signals out of: {measurable}"
+                f"{where} {signal!r} contains the road's height in addition to the state, and loops are closed through the state "
+                f"alone; give signals out of: {measurable}"
             )
     if not given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(f"{where} control forces alone contain no information on the state; give measured = signals out of: {measurable}")
+        raise InputError(
+            f"{where} control forces alone contain no information on the state; give measured = signals out of: {measurable}"
+        )
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(

@@ -313,8 +313,8 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
         raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and no "
-            f"force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and "
+            f"no force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps
 

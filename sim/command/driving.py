@@ -225,7 +225,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
             raise InputError(f"--without {part} is given twice; give it once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit --without {part}"
+                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit the option"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
         raise InputError("--as drives one vehicle as implemented; omit --without and give one --vehicle")

@@ -17,9 +17,10 @@ from models.common.printed import Whole, say, wrapped
 LISTED = 16  # logs; of more only those are listed that do not prove what they claim
 
 EPILOG = """
-exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
+The command runs the logged vehicle again, compares the signals and results, and checks the certificate of the controller.
 
-It runs the logged vehicle again and compares: does the vehicle file do this, and does its certificate hold?
+exit code: 0 the log still proves its claims; 1 it does not, and the output shows where; 2 invalid input; for several logs, the
+largest code
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
@@ -43,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.inspect.report import proof_lines, proof_object
 
     if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(f"kinds {options.kinds}: there is no such folder; give the folder with the .py and .xml of a custom vehicle type")
+        raise InputError(
+            f"kinds {options.kinds}: there is no such folder; give the folder with the .py and .xml of a custom vehicle type"
+        )
     if len(options.logs) > 1:
         if options.csv is not None:
             raise InputError(
@@ -112,19 +115,19 @@ def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: boo
 def _parser() -> Parser:
     parser = Parser(
         "sim.inspect",
-        "Says what logs are, and by computing it anew from what each holds, whether it still proves what it claims.",
+        "Recompute logged runs from the content of each log, and check whether the log still proves its claims.",
         EPILOG,
     )
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an .mcap file that a run has written; several in turn")
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=".mcap file of a run; one or more")
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write MuJoCo's, the logged and the recomputed signals of one log"
+        "--csv", type=Path, metavar="FILE", help="write the signals of one log: logged, and recomputed by MuJoCo (.csv)"
     )
     parser.add_argument(
-        "--kinds", type=Path, metavar="DIR", help="folder of a kind of vehicle of your own; its Python is run (default: none)"
+        "--kinds", type=Path, metavar="DIR", help="folder of a custom vehicle type, whose Python is executed (default: none)"
     )
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, also of several logs")
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, for several logs, too")
     printed.add_argument(
-        "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
+        "--json", action="store_true", help="print one JSON object and nothing else; for several logs {logs, proves}"
     )
     return parser

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 
 EPILOG = """
-exit code: 0 the report is written, 1 without a controller that cannot be designed, 2 bad input; with --gallery 1 if a number is
-not reproduced
+exit code: 0 the report is written; 1 it omits a controller that cannot be designed, or a number of --gallery is not reproduced;
+2 invalid input
 
 examples:
   python -m sim.report --out report.html
@@ -293,28 +293,34 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
 
 
 def _parser() -> Parser:
-    parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
+    parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle(
-        "default: all but printed copies of others, as I_printed is of I", several="a page for each, and one table"
+        "default: all, without published copies such as I_printed", several="a page for each and one table"
     )
-    parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
-    parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
+    parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="name of the page (default: report-VEHICLE.html, or report-gallery.html)"
+    )
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="also write all figures (SVG and PNG) and all tables (CSV) to this folder"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="omit margins, map and ride, which takes seconds instead of a minute"
+    )
     parser.add_argument(
         "--front",
         metavar="AXES",
-        help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
-        "MuJoCo's values at some of its designs; takes half a minute more",
+        help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
+        "MuJoCo runs of some designs; takes half a minute more",
     )
-    add_exported(parser, "also what this folder of python -m synth --export holds, and what its code does")
+    add_exported(parser, "add the exported code in this folder of python -m synth --export, and its effect")
     add_road(parser, "none")
-    parser.add_number("--duration", 20.0, "s", "how long to drive over the road")
-    add_loads(parser, "also what this load does on a flat road; with --road or --class it acts there, too")
+    parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
+    add_loads(parser, "add a load on a flat road; with --road or --class it acts there, too")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every statement of the page, too")
-    printed.add_argument("--brief", action="store_true", help="print only what is written and which controller is best at what")
+    printed.add_argument("-v", "--verbose", action="store_true", help="also print every statement of the page")
+    printed.add_argument("--brief", action="store_true", help="print only the written files and the comparison of controllers")
     printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

@@ -275,10 +275,10 @@ def measurement_matrices(
     """
     states = _measured(Cy, len(plant.A))
     shape = len(states), plant.Bw.shape[1]
-    names, words, noise = ["Cy"], "of the state", np.zeros(shape)
+    names, words, noise = ["Cy"], "state", np.zeros(shape)
     if Dyw is not None:
         noise = real_matrix(Dyw, "Dyw", str(shape))
-        names, words = ["Cy", "Dyw"], "of state or disturbance"
+        names, words = ["Cy", "Dyw"], "state or disturbance"
     if noise.shape != shape:
         raise InputError(
             f"Dyw has shape {noise.shape}; expected {shape}: a row for each measured signal, a column for each disturbance"

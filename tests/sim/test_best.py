@@ -259,15 +259,18 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--best", "colour"], "--best 'colour' is no metric of this campaign; give at_stops, dynamic_load, force_peak"),
+        (["--best", "colour"], "--best 'colour' is not a metric of this campaign; give at_stops, dynamic_load, force_peak"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
-        (["--best", "ride", "--subject-to", "travel:0.08"], "'travel' is no metric of this campaign, and peak_travel is; give"),
+        (
+            ["--best", "ride", "--subject-to", "travel:0.08"],
+            "'travel' is not a metric of this campaign, and peak_travel is; give",
+        ),
         (["--best", "ride", "--subject-to", "peak_travel:-1"], "peak_travel:-1: peak_travel is never below 0; give METRIC:LIMIT"),
-        (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is no finite number; give METRIC:LIMIT"),
+        (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is not a finite number; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
         (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride has two limits; give the smaller one"),
-        (["--subject-to", "ride:1"], "--subject-to says what --best chooses"),
-        (["--save", "x.toml"], "--save says what --best chooses"),
+        (["--subject-to", "ride:1"], "--subject-to is for the choice of --best"),
+        (["--save", "x.toml"], "--save is for the choice of --best"),
         (["--best", "ride", "--save", "car.toml"], "--save car.toml is an input file; give another file"),
         (["--best", "ride", "--save", "x.txt"], "a vehicle file is TOML"),
     ],
@@ -293,10 +296,13 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "has no key 'gain[0][1]'; it has gain[0][0]"),
         ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "its law skyhook has nothing beside its name"),
         ('[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }', "controller 'I' is designed, and the file has no law"),
-        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is no section of the vehicle file"),
+        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is not a section of the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' is a law in Python"),
         ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is none of the campaign's"),
-        ("variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }", "variants is how many laws are drawn beside"),
+        (
+            "variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }",
+            "variants is the number of laws drawn in addition to",
+        ),
     ],
 )
 def test_bad_keys(tmp_path, monkeypatch, drawn, said):

@@ -134,7 +134,7 @@ def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
     assert [one.get("without") for one in result["runs"]] == [None, None, "noise", "lag"]
     assert inspect([result["logs"]["mcap"]]) == 0
     capsys.readouterr()
-    with refused("no vehicle file has that"):
+    with refused("no vehicle file contains it"):
         drive.main(["--controller", "I", "--without", "noise"])
 
 
@@ -181,11 +181,11 @@ def test_force_actuators_beside_dampers():
         == Designer(parse_vehicle(CORNER)).design("firm").certificate.norm.value
     )
     assert both.for_all(["passive", "leaky"]).dampers == {}
-    with refused("leaky drive actuators that push", "sky adjustable dampers"):
+    with refused("leaky drive force actuators", "sky adjustable dampers"):
         both.for_all(["leaky", "sky"])
     with refused("actuators = 'valve' is not allowed"):
         parse_vehicle(BOTH.replace('"force"', '"valve"', 1))
-    with refused("[limits] actuator_force is of actuators that push"):
+    with refused("[limits] actuator_force is for force actuators"):
         parse_vehicle(CORNER + DAMPERS)
 
 

@@ -162,7 +162,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     assert "--refine" not in capsys.readouterr().out
     with pytest.raises(DesignError, match="goals with --refine: it is static gains of the least norm that are refined"):
         Designer(read_vehicle(path)).refine("goal")
-    with pytest.raises(InputError, match="no L"):
+    with pytest.raises(InputError, match="have an L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
 
 

@@ -255,9 +255,7 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     A time from which a signal stays within a band is the first sample of the grid within it.
     """
     if one.what not in OF_A_GRID or not one.timestep / 10 <= one.grid <= one.duration:
-        raise InputError(
-            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; omit it"
-        )
+        raise InputError(f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; omit it")
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)
     if one.what in ("peak", "rms"):

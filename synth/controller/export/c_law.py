@@ -141,9 +141,7 @@ def exported_law(
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
         raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
     if how.delay != int(how.delay):
-        raise InputError(
-            f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}"
-        )
+        raise InputError(f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}")
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(

@@ -153,9 +153,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(
-            f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}"
-        )
+        raise InputError(f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}")
     return weights
 
 

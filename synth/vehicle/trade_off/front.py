@@ -169,9 +169,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
         raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(
-            f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it"
-        )
+        raise InputError(f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it")
     return entry
 
 
