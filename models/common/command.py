@@ -36,7 +36,7 @@ def _versions() -> dict[str, str]:
     return versions_by_name
 
 
-ALL = "all"  # in place of a controller's name
+ALL = "all"  # instead of a controller's name
 
 
 class Parser(argparse.ArgumentParser):

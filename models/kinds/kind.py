@@ -376,7 +376,7 @@ class VehicleKind(Checked):
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
         """Returns the invariants of a vehicle: those of its kind, or none if a tyre damps.
 
-        With c s + k in place of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
+        With c s + k instead of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 

@@ -52,7 +52,7 @@ from models.kinds.strut_and_tyre import write_strut, write_tyre
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
-    "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
+    "centre_height", "m", "h, of the body's centre of mass above the ground: braking and cornering apply m_s a h", usual=0.55
 )
 AXLES = ("front", "rear")
 
@@ -374,7 +374,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Returns the tendon whose length is the deflection of a guided wheel, in place of a strut of that name."""
+    """Returns the tendon whose length is the deflection of a guided wheel, instead of a strut of that name."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

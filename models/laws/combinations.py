@@ -1,4 +1,4 @@
-"""The table of what goes together in a controller's section, and with a command that is given its name.
+"""The table of compatible options in a controller's section, and of the commands that accept them.
 
 Two parts of a section, or a part and a command, go together unless `REFUSED` has a reason why not. Every message of a refused
 combination is made of this table, and so is the table of the site.

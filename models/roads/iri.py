@@ -1,4 +1,4 @@
-"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or in the mean.
+"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or on average.
 
 M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile", Transportation Research
 Record 1501, 1-12; ASTM E1926: a quarter-car of fixed numbers drives at 80 km/h over the heights h_i of one track, sampled every

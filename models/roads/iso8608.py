@@ -253,7 +253,7 @@ def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], A
     """Returns a function that sums x_k exp(-2 pi i k turn j) over K lines, shape (K,), for j = 0, ..., T - 1, shape (T,).
 
     A chirp z-transform, K + T lines and times in the time of an FFT, by 2 k j = k^2 + j^2 - (j - k)^2: a convolution.
-    `scipy.signal.ZoomFFT` gives the same to the last bit, and takes half a second to import.
+    `scipy.signal.ZoomFFT` gives the same bit for bit, and takes half a second to import.
     """
     k = np.arange(max(lines, times), dtype=np.int64)
     scale = turn * (times - 1) * times / (times - 1)

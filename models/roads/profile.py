@@ -126,7 +126,7 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a CSV file: distance, left, right [m]."""
+        """Its points bit for bit, as a CSV file: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -272,7 +272,7 @@ def check_ascending(
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
-    """Returns a profile from `Profile.points`, to the last bit.
+    """Returns a profile from `Profile.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.
@@ -284,7 +284,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
 
 
 def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
-    """Returns the names and the numbers of `Road.points`, to the last bit.
+    """Returns the names and the numbers of `Road.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.

@@ -97,7 +97,7 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a CSV file: time [s], heights [m]."""
+        """Its points bit for bit, as a CSV file: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -191,7 +191,7 @@ def check_posts(posts: Sequence[str]) -> None:
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """Returns a rig from `Rig.points`, to the last bit.
+    """Returns a rig from `Rig.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.

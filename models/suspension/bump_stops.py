@@ -1,7 +1,7 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
-A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if squeezed by x: a rubber stop's stiffness
-grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side. A
+A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
+rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side. A
 side that is left out has no stop.
 
 A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
@@ -91,7 +91,7 @@ class Stops:
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
-        """Returns sign, stop and how far it is squeezed [m] for each side that has one."""
+        """Returns sign, stop and how far it is compressed [m] for each side that has one."""
         return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
 
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:

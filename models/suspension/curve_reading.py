@@ -103,7 +103,7 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
-        section: the section, with tables in place of files.
+        section: the section, with tables instead of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
 
     Raises:

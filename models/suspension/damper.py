@@ -9,7 +9,7 @@ If a controller commands a force u* beyond the nominal damper's, the coefficient
 
     c = clip(c_s - u* / v, c_min, c_max),
 
-with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
+with curves instead of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
 from the velocity then, and held until the next. If v is 0 and u* is not, v counts as slightly negative; if both are 0 the damper
 is the nominal one.
 

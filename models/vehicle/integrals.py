@@ -1,4 +1,4 @@
-"""Controllers beside weights with an integral: what goes together, and the reason why not."""
+"""Controllers and weights with an integral: the compatible options, and the reasons against others."""
 
 from collections.abc import Mapping
 

@@ -253,7 +253,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again."""
+    """Refuses a model whose tyres cannot be fully compressed: past its hub a road makes the tyre longer again."""
     kind, data = vehicle.kind, mujoco.MjData(model)
 
     def read(tyre: str) -> float:

@@ -92,7 +92,7 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
 
 
 def variant(part: str) -> str:
-    """Returns the end of the name, in tables, of a controller's run without a part; empty for a run as built."""
+    """Returns the end of the name, in tables, of a controller's run without a part; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
@@ -102,7 +102,7 @@ def logged_variant(part: str) -> str:
 
 
 def logged_part(name: str, controller: str) -> str:
-    """Returns the part that a logged run leaves out, from its name; empty for a run as built."""
+    """Returns the part that a logged run omits, from its name; empty for the implemented loop."""
     part = name.removeprefix(f"{controller}-no_") if name != controller else ""
     return part if part in WITHOUT else ""
 

@@ -141,7 +141,7 @@ def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with the contents of other files in place of their names, and those files.
+    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
 
     Raises:
         InputError: the text is not TOML, or one of these files is missing or wrong.
@@ -164,7 +164,7 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
 
 
 def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
-    """Returns the data of a vehicle file's text with SI numbers in place of numbers with units, such as "22 N/mm"."""
+    """Returns the data of a vehicle file's text with SI numbers instead of numbers with units, such as "22 N/mm"."""
     if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
         return data
     from models.vehicle.written_units import in_si

@@ -79,7 +79,7 @@ class Vehicle(ShownVehicle):
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
+        text: the vehicle file, as read, with the matrices of laws instead of the files that it names; it goes into the logs.
             Laws in Python stay named.
         source: path of the file, for messages.
         limits: limits of the hardware.
@@ -89,9 +89,9 @@ class Vehicle(ShownVehicle):
         road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: curves of dampers and springs, by the parameter that each curve replaces.
-        dampers: adjustable dampers in place of actuators, by force.
+        dampers: adjustable dampers instead of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
-        force_limits: limits with those of actuators that push, for the controllers that drive these in place of the dampers.
+        force_limits: limits with those of actuators that push, for the controllers that drive these instead of the dampers.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -212,7 +212,7 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
-        """The vehicle with ideal force actuators in place of its adjustable dampers."""
+        """The vehicle with ideal force actuators instead of its adjustable dampers."""
         if not self.dampers:
             return self
         names = {name for damper in self.adjustable for name in (damper.coefficient, damper.missing)}

@@ -19,7 +19,7 @@ SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_
 
 
 def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
-    """Returns the data of a vehicle file with SI numbers in place of numbers with units.
+    """Returns the data of a vehicle file with SI numbers instead of numbers with units.
 
     Args:
         kind: kind of the vehicle, whose parameters and signals have units.
@@ -73,7 +73,7 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
 
 
 def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
-    """Returns `[implementation]` with a delay in samples in place of one with a unit of time."""
+    """Returns `[implementation]` with a delay in samples instead of one with a unit of time."""
     delay, period = section.get("delay"), section.get("sample_period")
     seconds = in_unit(delay, "s", "[implementation] delay")
     if seconds is delay:

@@ -30,7 +30,7 @@ Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a campaign runs, from its beginning on.
+    """The content of a campaign, fixed at its beginning.
 
     Attributes:
         file: absolute path of the campaign file when the campaign began.

@@ -117,7 +117,7 @@ def _same_preview(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
 
 
 def _made(law: LinearLaw) -> tuple[object, ...]:
-    """Returns what two laws have in common to the last bit, beside their numbers."""
+    """Returns the properties of a law, except its numbers, that are equal bit for bit if two laws are the same."""
     return law.D.shape, law.states, law.sample_period, law.anti_windup
 
 

@@ -195,7 +195,7 @@ def check_view(options: argparse.Namespace) -> None:
     """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: `--no-logs` disables the recording, or `--open` has no display.
+        InputError: `--no-logs` disables the recording, or no display exists for `--open`.
     """
     if not (options.open or options.serve):
         return
@@ -313,12 +313,12 @@ def standings_of(
     without: Sequence[str] = (),
     title: str = "",
 ) -> "list[Standing]":
-    """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
+    """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
         samples: first measured sample, and the one after the last; None for the end of the runs.
         measured: metrics of the runs between these samples, if known.
-        without: part of the vehicle that each run omits; empty if all are as built.
+        without: part of the vehicle that each run omits; empty if no run omits a part.
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure

@@ -37,7 +37,7 @@ class Driven:
         vehicle: vehicle of the file.
         title: title of the answer; empty if it is the only one.
         names: requested controllers.
-        runs: runs of the controllers as built, then of those without a part of the vehicle.
+        runs: runs of the implemented controllers, then of those without a part of the vehicle.
         without: omitted part for each run; empty as implemented.
         design: designs the vehicle's linear controllers.
     """
@@ -51,7 +51,7 @@ class Driven:
 
     @property
     def built(self) -> list[Run]:
-        """The runs as built."""
+        """The runs of the implemented loops."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
@@ -259,7 +259,7 @@ def _measured(options: Namespace, driven: Sequence[Driven], road: Road, time: Ar
 
 
 def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | None) -> list[dict[str, Any]]:
-    """Returns the result of every vehicle, as logs and JSON have it."""
+    """Returns the result of every vehicle, as in logs and JSON."""
     results, metrics = [], list(measured.metrics) if measured else []
     for each in driven:
         road, time = each.runs[0].road, each.runs[0].prediction.time

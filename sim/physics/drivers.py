@@ -28,7 +28,7 @@ class RecordedForces:
     """Forces that are known beforehand, whatever the measurements.
 
     Attributes:
-        measured: measurements of the original controller, so that everything is read in the same order, to the last bit.
+        measured: measurements of the original controller, so that everything is read in the same order bit for bit.
         forces: requested at every step [N], shape (T, m).
     """
 
@@ -389,7 +389,7 @@ class Clipped:
 class SemiActiveLaws:
     """N semi-active laws, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
 
-    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its steps.
+    A single run is computed in plain numbers, which are the same bit for bit: calls of numpy would take as long as its steps.
     """
 
     flat = False

@@ -145,7 +145,7 @@ def in_blocks(course: BatchInputs) -> Iterator[Block]:
 def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
-    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
+    The numbers of a run are bit for bit independent of other runs of its controller, of shares, and of blocks: sums over a
     run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
     are.
 

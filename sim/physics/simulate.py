@@ -67,7 +67,7 @@ class PhysicsRuns:
 def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
-    A run's numbers do not depend, to the last bit, on other runs of its controller: different implementations share no batch.
+    The numbers of a run are bit for bit independent of other runs of its controller: different implementations share no batch.
 
     Args:
         controllers: N controllers.

@@ -69,7 +69,7 @@ def design_section(scope: Scope) -> Section:
             (one.name, one.text.partition(" (")[0], one.text.partition(" (")[2].removesuffix(")")) for one in scope.laws
         )
         tables.append(
-            Table("laws", "What the laws are of which nothing is proved.", ("controller", "law", "what it does"), described, 3)
+            Table("laws", "Description of the laws without a proof.", ("controller", "law", "what it does"), described, 3)
         )
     if scope.built_norms:
 

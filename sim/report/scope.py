@@ -44,8 +44,9 @@ class Exported:
 class Scope:
     """Subject of a report.
 
-    Two loops are spoken of. The *ideal loop* is continuous, without limits and without a computer: designs and certificates are
-    of it. The loop *as built* has the vehicle file's `[limits]` and `[implementation]`: MuJoCo runs that, step by step.
+    A report describes two loops. The *ideal loop* is continuous, without limits and without a computer; designs and
+    certificates are for this loop. The *implemented loop* has the vehicle file's `[limits]` and `[implementation]`;
+    MuJoCo runs it step by step.
 
     Attributes:
         vehicle: the vehicle.
@@ -58,7 +59,7 @@ class Scope:
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
-        own_road: the road that all is driven over in place of the paper's bump; None for that.
+        own_road: the road that all is driven over instead of the paper's bump; None for that.
         road_name: name of the road as given.
         duration: duration of the runs over either road [s].
     """
@@ -103,7 +104,7 @@ class Scope:
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: Driver) -> bool:
-        """Returns True if a loop is known to be unstable, ideal or as built."""
+        """Returns True if a loop is known to be unstable, ideal or implemented."""
         return isinstance(controller, Controller) and controller not in self.stable
 
     @property
@@ -148,7 +149,7 @@ class Scope:
 
     @property
     def implementation_text(self) -> str:
-        """The loop as built, in words."""
+        """The implemented loop, in words."""
         words = (*self.vehicle.limits.phrases(self.vehicle.kind.suspensions), *self.vehicle.implementation.phrases)
         return ", ".join(words) or "neither [limits] nor [implementation]"
 
@@ -182,7 +183,7 @@ class Scope:
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Returns the controllers whose loop is stable as built, and ideal too unless a computer replaces the ideal loop."""
+        """Returns the controllers with a stable implemented loop, and a stable ideal loop unless a computer replaces it."""
         return [
             one
             for one in self.controllers
@@ -191,7 +192,7 @@ class Scope:
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """The L2 gains of the loops as built, by controller, where the vehicle file makes them differ."""
+        """The L2 gains of the implemented loops, by controller, if the vehicle file makes them differ."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}

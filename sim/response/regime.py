@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from models.suspension.fitted_curves import SuspensionCurve
 
 AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
-# m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
+# m; the stiffest tyre, compressed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
 # 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
 MISSED = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
@@ -76,7 +76,7 @@ class End:
 
 
 def _flat(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which tyres are squeezed flat."""
+    """Returns thresholds at which tyres are fully compressed."""
     return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
 

@@ -107,7 +107,7 @@ class Response(Shown):
 
     @property
     def ran_away(self) -> bool:
-        """Returns True if a single run of physics broke off as the states of its law ran away; see `PhysicsRuns.kept`."""
+        """Returns True if a single run of physics ended because the states of its law diverged; see `PhysicsRuns.kept`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Array:

@@ -1,4 +1,4 @@
-"""Bump stops that a run reaches: how far it squeezes each, with what force, and when."""
+"""Bump stops that a run reaches: compression, force and time of each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

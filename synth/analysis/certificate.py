@@ -14,7 +14,7 @@ For a discrete closed loop it is
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
 which is not affine in a gain. A design therefore uses a larger matrix, of which this one is the Schur complement. With the plant
-in differences over a step T (`GeneralizedPlant.differences`) and X T in place of X, it is the continuous matrix, bordered:
+in differences over a step T (`GeneralizedPlant.differences`) and X T instead of X, it is the continuous matrix, bordered:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]

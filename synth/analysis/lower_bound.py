@@ -2,7 +2,7 @@
 
 A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only if there are X > 0 and S > 0 with [X I; I S]
 >= 0. Here X solves the `SynthesisInequality` of the plant, eta = gamma^-2, and S that of the transposed plant (Gahinet, Apkarian
-1994) with a disturbance of weight one and gamma^2 in place of I:
+1994) with a disturbance of weight one and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 

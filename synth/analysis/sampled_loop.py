@@ -310,7 +310,7 @@ class SampledLoop(Checked):
         return noise[:m], noise[m:]
 
     def entering(self) -> tuple[Array, Array]:
-        """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
+        """Returns the maps of `register` from the noise, instead of the states, shapes (n + i, j) and (N - n, j)."""
         computed, kept = self.heard
         forces = [np.zeros_like(computed) if piece.late else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]

@@ -151,7 +151,7 @@ class ScaledGain:
 
 
 def lmi(loops: Loops, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` in place of its -1."""
+    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` instead of its -1."""
     A, Bw, C, Dw = loops
     left = np.concatenate([A @ X, C @ X], axis=-2)
     n, d = A.shape[-1], C.shape[-2]
@@ -340,5 +340,5 @@ def _size(M: Array) -> Array:
 
 
 def hermitian(M: Array) -> bool:
-    """Returns True if all matrices of a stack are Hermitian, to the last bit."""
+    """Returns True if all matrices of a stack are Hermitian bit for bit."""
     return np.array_equal(M, M.conj().swapaxes(-1, -2))

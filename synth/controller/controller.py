@@ -111,7 +111,7 @@ class Controller(Checked, Shown):
 
     @property
     def ahead(self) -> float:
-        """How far ahead it knows the road [s]; 0 without a preview."""
+        """Time by which the road is known ahead [s]; 0 without a preview."""
         return 0.0 if self.preview is None else self.preview.seconds
 
     @property

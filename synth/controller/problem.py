@@ -225,7 +225,7 @@ def generalized_plant(
     disturbances = append(*roads, *[gain(1.0)] * len(loads))
     if not over_datum:
         return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
-    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 in place of C.
+    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 instead of C.
     of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
     states = len(disturbances.A) // len(roads)
     height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))

@@ -1,7 +1,7 @@
 """A common static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
 
 1. State feedback for all of them: W of the LMIs with C_y = I.
-2. L (14) with W' in place of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
+2. L (14) with W' instead of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
    W_Q + R W_R R' and Y = Y_R R'.
 
 **The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above that

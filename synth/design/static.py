@@ -221,10 +221,10 @@ class GainSearch:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
         beaten_by_none: lower bound for controllers of this kind; 0 for none.
-        Dyw, through, structure: as for `Landscape`.
+        Dyw, through, structure: arguments of `Landscape`.
         alike: returns the gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
-        rival: as for `static_output_feedback`.
+        rival: argument of `static_output_feedback`.
         work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
         """
         self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
@@ -359,7 +359,7 @@ class GainSearch:
         return min(ends, key=lambda each: each.norm)
 
     def followed(self, candidate: Candidate) -> Candidate:
-        """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
+        """A candidate after descents of both types alternately, as many as gain something: some valleys are long."""
         quick = True
         for _ in range(max(1, int(LONGEST * min(1.0, (LARGE / len(self.plant.A)) ** 2)))):
             before = candidate.norm

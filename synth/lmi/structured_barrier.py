@@ -5,7 +5,7 @@ Every constraint of the central path has the form
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
 with the unknowns X (symmetric, block diagonal), Y and p_N. With P = S^-1 the second derivative of -log det S along unit matrices
-e_p e_q' and e_s e_t' in place of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
+e_p e_q' and e_s e_t' instead of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
 products of entries of three small matrices.
 
 If S is nearly singular, the largest terms of these sums would swamp the others. So the part of P that belongs to the smallest

@@ -108,7 +108,7 @@ class GeneralizedPlant:
 
     @cached_property
     def differences(self) -> "GeneralizedPlant":
-        """The plant in differences, (x[k+1] - x[k]) / dt in place of x': its entries tend to the continuous ones as dt falls.
+        """The plant in differences, (x[k+1] - x[k]) / dt instead of x': its entries tend to the continuous ones as dt falls.
 
         The result has the form of a continuous plant, but other poles and norms; a continuous plant is its own.
         """

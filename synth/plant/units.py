@@ -114,7 +114,7 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
     which the motion and the driving force have the same weight in z.
 
     The pattern of zeros may leave units undetermined. Some of these are kept as given, those of the disturbance before others. So
-    the same plant in other units, each a power of two, is the same in its own to the last bit.
+    the same plant in other units, each a power of two, is the same in its own bit for bit.
 
     Args:
         plant: n states; a discrete one has those of its differences.

@@ -1,4 +1,4 @@
-"""A controller of a vehicle file that is the best in the mean, from Riccati equations: LQR, LQG, H2, or preview LQ."""
+"""A controller of a vehicle file with the smallest mean square, from Riccati equations: LQR, LQG, H2, or preview LQ."""
 
 from dataclasses import replace
 

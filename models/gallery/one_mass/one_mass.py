@@ -19,7 +19,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much the spring is squeezed at rest [m]."""
+    """Returns how much the spring is compressed at rest [m]."""
     return {STATES[0]: p["mass"] * GRAVITY / p["stiffness"]}
 
 

@@ -49,7 +49,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much each axle's springs are squeezed at rest [m]."""
+    """Returns how much each axle's springs are compressed at rest [m]."""
     front, rear = p["axle_distance_front"], p["axle_distance_rear"]
     weight = p["mass"] * GRAVITY / (front + rear)
     carried = {"front": weight * rear, "rear": weight * front}

@@ -163,7 +163,7 @@ class Expected:
             its.
         spread: standard deviation of each rms metric from road to road, by metric.
         error: upper estimate of the relative error of the integrals; report it if above `EXACT`.
-        line: the linear vehicle, with equivalent lines in place of curves (`statistical_linearisation.py`).
+        line: the linear vehicle, with equivalent lines instead of curves (`statistical_linearisation.py`).
     """
 
     mean: dict[str, float]

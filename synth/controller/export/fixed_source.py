@@ -1,4 +1,4 @@
-"""C99 of a law in fixed point: integers alone, sums in 64 bits, and every result clipped in place of an overflow."""
+"""C99 of a law in fixed point: integers alone, sums in 64 bits, and every result clipped instead of an overflow."""
 
 from textwrap import indent
 

@@ -201,7 +201,7 @@ def h2_norm(loop: GeneralizedPlant) -> float:
 def _design(
     plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool, noise: Array | None = None
 ) -> QuadraticDesign:
-    """The best in the mean.
+    """Returns the law with the smallest mean square.
 
     Args:
         Cy: shape (q, n).

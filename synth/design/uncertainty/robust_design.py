@@ -1,4 +1,4 @@
-"""A law whose robust performance is better than that of the least norm: by turns, scales for the law, and a law for the scales.
+"""A law whose robust performance is better than that of the least norm: alternately scales for the law, and a law for the scales.
 
 For a law the best scales of each error are a curve over frequency. A stable first-order filter with a stable inverse follows its
 magnitude where mu is large. Between these filters the plant has a norm that bounds mu, and a design of the least norm lowers it

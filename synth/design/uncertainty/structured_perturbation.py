@@ -22,7 +22,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
-SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies in place of 0 and infinity, where an error has no phase
+SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies instead of 0 and infinity, where an error has no phase
 BEYOND = (
     0.0,
     1e-9,
