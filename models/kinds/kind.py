@@ -250,8 +250,7 @@ class VehicleKind(Checked):
         linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
         static_tyre_deflection: parameters -> compression of each tyre at rest [m], by tyre deflection signal. The wheel is off
             the ground if its tyre deflection, or the equivalent one of a damping tyre (`DampedTyre`), exceeds it.
-        write_mjcf: function that writes the parameters into an `MjSpec` of the kind's `.xml`. It edits its argument and need not
-            import MuJoCo.
+        write_mjcf: function that writes the parameters into an `MjSpec` of the kind's `.xml`, without an import of MuJoCo.
         folder: folder of its `.xml`.
         check_together: function that raises InputError if valid single parameters are not a vehicle together.
         combined: signals without a sensor that are sums of others, as {name: {other signal: factor}}.
@@ -432,8 +431,7 @@ class VehicleKind(Checked):
         """Returns all parameters, checked, in the kind's order.
 
         Raises:
-            InputError: an invalid parameter as in `check_each`, or parameters that together are not a vehicle or fully compress a
-                tyre at equilibrium.
+            InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
         """
         checked = self.check_each(parameters)
         self.check_together(checked)

@@ -71,9 +71,8 @@ class Corner:
     Attributes:
         name: suffix of its signals and of its elements in the MJCF.
         x, y: position from the centre of mass [m].
-        unsprung_mass: mass of the wheel and its suspension [kg].
-        suspension_stiffness, tyre_stiffness: stiffness of the springs [N/m].
-        suspension_damping, tyre_damping: coefficients of the dampers [N s/m].
+        unsprung_mass, suspension_stiffness, tyre_stiffness: mass [kg] and stiffness [N/m].
+        suspension_damping, tyre_damping: damping coefficients [N s/m].
     """
 
     name: str

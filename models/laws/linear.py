@@ -29,8 +29,7 @@ class LinearLaw:
         B: shape (k, q).
         C: shape (m, k).
         D: shape (m, q), the static gain K if there are no states [N per measured unit].
-        sample_period: sample period of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None for a
-            continuous law.
+        sample_period: period of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None if continuous.
         anti_windup: rate at which its states follow the forces that are given where these are clipped [1/s]; None: they do not.
 
     Raises:

@@ -103,8 +103,7 @@ class RoadPreview:
         """Returns the forces along a road, held from sample to sample, shape (T, m).
 
         Args:
-            heights: heights of the road at the timesteps of a run, and beyond its end up to the preview distance [m], shape (T +
-                ahead, r).
+            heights: heights of the road at the timesteps of a run, and beyond its end by the preview [m], shape (T + ahead, r).
             steps: timesteps between two samples of the controller.
             timestep: timestep of the heights [s].
             samples: T.

@@ -179,8 +179,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
             raise InputError(
-                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law, and does not receive the road; "
-                "omit one of them"
+                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law without preview; omit one of them"
             )
         return PythonLaw(fmu, None, folder)
     if "law" not in entry:

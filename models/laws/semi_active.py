@@ -35,8 +35,7 @@ class LawCoefficients:
     """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
 
     Attributes:
-        c_min, c_max: smallest and largest coefficient of the dampers [N s/m], shape (N, m); for measured curves, force over
-            velocity at the present velocities.
+        c_min, c_max: limits of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at present.
         sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
         stiffness: stiffness of the suspension springs [N/m], shape (N, m).
         modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping

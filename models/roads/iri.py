@@ -96,8 +96,7 @@ def missing(lines: Array, variances: Array) -> Array:
     Lines and places are evenly spaced, so that the sum over lines of the products of both is a Fourier transform.
 
     Args:
-        lines: spatial frequencies of a random road, as multiples of 1 / `COUNTED` cycle/m, ascending integers above 0, shape
-            (F,).
+        lines: spatial frequencies of a random road, in multiples of 1 / `COUNTED` cycle/m, ascending integers > 0, shape (F,).
         variances: variance of the road's slope at each frequency, shape (F,).
     """
     rates, of_slopes, of_start = _modes(STEP)

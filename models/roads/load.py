@@ -4,16 +4,14 @@ The vehicle model drives straight ahead. Braking, cornering, payload and wind th
 mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions are
 up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
 
-    braking at a:              M_pitch = m_s a h
-    cornering left at a:       M_roll = m_s a h
-    payload m at (x, y):       F = -m g,   M_pitch = m g x,   M_roll = -m g y
+    braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
+    payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-The payload position (x forward, y to the left) is relative to the centre of mass.
+The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. To model
+its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
 
-By default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead:
-roll centres, a pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). The links' share of braking,
-cornering and gust loads, and the inertia of the wheels, then act as loads on the wheels. A payload adds weight but no inertia,
-and it does not sway. To model its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
+By default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
+(`models/kinds/links.py`). Their share of braking, cornering and gusts, and the inertia of the wheels, then act on the wheels.
 """
 
 import math

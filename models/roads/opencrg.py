@@ -109,9 +109,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
     end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
     step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
     if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):
-        raise InputError(
-            f"has {len(u)} cross-sections, and its header specifies {promised}; the file is cut: give the whole file"
-        )
+        raise InputError(f"has {len(u)} cross-sections, and its header specifies {promised}; give the complete file")
 
 
 def _reason(error: Exception, path: Path) -> str:

@@ -1,8 +1,8 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
 A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
-rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side. A
-side that is left out has no stop.
+rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each
+side. An omitted side has no stop.
 
 A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
 leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.

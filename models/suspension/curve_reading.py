@@ -174,9 +174,7 @@ def _check_argument(x: Array, over: Argument) -> None:
             f"{over.name}, each once"
         )
     for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
-        raise InputError(
-            f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}, which is too near; omit one of them"
-        )
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
     if not x[0] < 0 < x[-1]:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "

@@ -283,9 +283,7 @@ def _controller(
                 f"alone; give signals out of: {measurable}"
             )
     if not given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(
-            f"{where} control forces alone contain no information on the state; give measured = signals out of: {measurable}"
-        )
+        raise InputError(f"{where} control forces alone do not show the state; give measured = signals out of: {measurable}")
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(

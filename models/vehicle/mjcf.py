@@ -246,9 +246,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         mujoco.mj_forward(model, data)
     for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
         if not np.all(np.isfinite(values)):
-            raise InputError(
-                f"{where}: its {what}s at qpos = 0 are not finite; correct the MJCF, or what write_mjcf writes into it"
-            )
+            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; correct the MJCF or its write_mjcf")
     _check_hubs(vehicle, model)
 
 
@@ -316,8 +314,7 @@ def has_geometry(vehicle: Vehicle) -> bool:
     """Returns True if the model is linear for small motions only, whatever its parameters.
 
     Masses, weights or levers of tendons and actuators then change with the position, a spring or damper is a polynomial, or a
-    sensor reads a quantity that is not a sum of positions, velocities and accelerations, as the velocity of a point of a body
-    that turns.
+    sensor does not read a sum of positions, velocities and accelerations, such as the velocity of a point of a turning body.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)

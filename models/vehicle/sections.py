@@ -283,9 +283,7 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
         return ()
     given = entry["loads"]
     if not isinstance(given, Mapping) or not given:
-        raise InputError(
-            f"{where} loads = {quoted(given)} is not a table; give {{ load = the value that counts as 1 m/s of road }}"
-        )
+        raise InputError(f"{where} loads = {quoted(given)} is not a table; give {{ load = value that equals 1 m/s of road }}")
     for name, value in given.items():
         if name not in loads:
             raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")

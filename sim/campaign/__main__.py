@@ -19,10 +19,7 @@ MOST_WORKERS = 1024
 EPILOG = """
 A run fails if its law in Python raises an error, ends the process, or takes more than 10 s a call or 100 times real time. The row
 of the run contains the reason. A campaign continues only if the file of the law is unchanged. --verify runs laws and vehicle
-types in Python only if FILE is given, too.
-
-If a campaign is interrupted, start the same command again: it continues, and loses a few seconds of work.
-
+types in Python only if FILE is given, too. To continue an interrupted campaign, start the same command again.
 exit code: 0 all runs are complete (with --verify: the results are those of the campaign); 1 --verify found a fault, or no
 controller keeps the limits of --subject-to; 2 invalid input, or a full disk; 130 interrupted: finished runs are kept
 
@@ -63,10 +60,7 @@ def _parser() -> Parser:
         "--results", type=Path, metavar="DIR", help="folder of the results (default: campaign-results for campaign.toml)"
     )
     parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="FILE",
-        help="draw ride over road holding, with a point for each controller (.png or .svg)",
+        "--picture", type=Path, metavar="FILE", help="draw ride over road holding, a point for each controller (.png or .svg)"
     )
     parser.add_argument(
         "--best",
@@ -100,8 +94,5 @@ def _parser() -> Parser:
     )
     parser.add_count("--runs", "number of runs that --verify repeats", "16", 1, MOST_RUNS, 16)
     parser.add_count("--seed", "seed of the selection of these runs", "0", 0, 2**63 - 1, 0)
-    parser.add_printed(
-        "a table for each road and speed: rms, 95th percentile, prediction",
-        "print only the comparison of controllers over all runs",
-    )
+    parser.add_printed("a table for each road and speed", "print only the comparison of controllers over all runs")
     return parser

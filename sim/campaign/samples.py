@@ -98,8 +98,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         )
     if "variants" in section and len(drawn) < len(DRAWN):
         raise InputError(
-            "[samples] variants is the number of laws drawn in addition to 'count' vehicles, "
-            "and only one of both is drawn; omit it"
+            "[samples] variants is for samples of both parameters and controllers, and only one of both is sampled; omit it"
         )
     variants = _count(section, "variants") if "variants" in section else count
     seed = check_seed(section.get("seed", 0))

@@ -21,8 +21,7 @@ NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be 
 
 EPILOG = """
 exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
-cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there: it is compared until then, and has
-no metrics.
+cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there, without metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20

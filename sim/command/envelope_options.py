@@ -20,11 +20,7 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser(
-        "sim.envelope",
-        "Map the bumps over which linear analysis is valid. For the other bumps, show which limit is reached first.",
-        EPILOG,
-    )
+    parser = Parser("sim.envelope", "Map the bumps over which linear analysis is valid, and the limits of the others.", EPILOG)
     parser.add_one("passive, state, or a controller of the vehicle file")
     parser.add_argument(
         "--vary",

@@ -34,8 +34,7 @@ def parser() -> Parser:
         action="append",
         default=[],
         metavar="NAME:LOW:HIGH",
-        help="vary a parameter from LOW to HIGH times its value, for example sprung_mass:0.8:1.2; up to four parameters "
-        "(default: those of the vehicle type)",
+        help="vary up to four parameters from LOW to HIGH times their value (default: the parameters of the vehicle type)",
     )
     parser.add_logs("MuJoCo runs on both sides of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png or .svg); needs matplotlib")

@@ -58,9 +58,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
         "--csv", type=Path, metavar="FILE", help="write all signals over time, of MuJoCo and linear analysis (.csv)"
     )
     logs = parser.add_mutually_exclusive_group()
-    logs.add_argument(
-        "--logs", type=Path, default=Path("logs"), metavar="DIR", help="write log files to this folder (default: logs)"
-    )
+    logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(

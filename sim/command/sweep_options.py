@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 EPILOG = """
 Linear analysis does not apply to a control law in Python. The law runs over one sinusoid at a time, and the output contains the
 fundamental and the energy at other frequencies.
-
 exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, or every run of a law
 diverged, so that nothing is measured; 2 invalid input
 
@@ -29,11 +28,7 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser(
-        "sim.sweep",
-        "Measure frequency responses and the H-infinity norm in MuJoCo, and compare them with linear analysis.",
-        EPILOG,
-    )
+    parser = Parser("sim.sweep", "Measure frequency responses in MuJoCo and compare them with linear analysis.", EPILOG)
     parser.add_controller_and_vehicle("default: passive, state, I and II")
     parser.add_number("--amplitude", 1e-4, "m", "largest height of each road; a larger height can reach the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; matters only if there are rear wheels")

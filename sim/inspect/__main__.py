@@ -19,8 +19,7 @@ LISTED = 16  # logs; of more only those are listed that do not prove what they c
 EPILOG = """
 The command runs the logged vehicle again, compares the signals and results, and checks the certificate of the controller.
 
-exit code: 0 the log still proves its claims; 1 it does not, and the output shows where; 2 invalid input; for several logs, the
-largest code
+exit code: 0 the log still proves its claims; 1 it does not; 2 invalid input; for several logs, the largest code
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
@@ -44,9 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.inspect.report import proof_lines, proof_object
 
     if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(
-            f"kinds {options.kinds}: there is no such folder; give the folder with the .py and .xml of a custom vehicle type"
-        )
+        raise InputError(f"kinds {options.kinds}: there is no such folder; give that of a custom vehicle type (.py and .xml)")
     if len(options.logs) > 1:
         if options.csv is not None:
             raise InputError(

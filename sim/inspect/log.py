@@ -113,8 +113,7 @@ def read_log(path: Path) -> Log:
     """Reads a log; the MCAP library compares the checksums of its chunks, attachments and data.
 
     Raises:
-        InputError: the file cannot be read, is not MCAP, is cut or damaged, has another format version, or was not written by
-            Roadproof.
+        InputError: the file cannot be read, is not MCAP, is damaged, has another version, or was not written by Roadproof.
     """
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader

@@ -294,19 +294,13 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle(
-        "default: all, without published copies such as I_printed", several="a page for each and one table"
-    )
+    parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
     parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="page (default: report-VEHICLE.html, report-gallery.html)")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="name of the page (default: report-VEHICLE.html, or report-gallery.html)"
+        "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
-    parser.add_argument(
-        "--figures", type=Path, metavar="DIR", help="also write all figures (SVG and PNG) and all tables (CSV) to this folder"
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="omit margins, map and ride, which takes seconds instead of a minute"
-    )
+    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: seconds instead of a minute")
     parser.add_argument(
         "--front",
         metavar="AXES",

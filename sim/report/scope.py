@@ -44,9 +44,8 @@ class Exported:
 class Scope:
     """Subject of a report.
 
-    A report describes two loops. The *ideal loop* is continuous, without limits and without a computer; designs and
-    certificates are for this loop. The *implemented loop* has the vehicle file's `[limits]` and `[implementation]`;
-    MuJoCo runs it step by step.
+    Designs and certificates are for the *ideal loop*, which is continuous and without limits. MuJoCo runs the *implemented loop*
+    with `[limits]` and `[implementation]` of the vehicle file.
 
     Attributes:
         vehicle: the vehicle.

@@ -137,8 +137,7 @@ def _parser() -> Parser:
         action="append",
         default=[],
         metavar="SIGNAL=NUMBER",
-        help="largest magnitude of a measured signal in SI units, for example sprung_velocity=2; int32 and int16 need one for "
-        "each signal; may be repeated",
+        help="largest magnitude of a measured signal [SI], needed for each with int32 or int16, such as sprung_velocity=2",
     )
     parser.add_numbers("--rates", "ms", "compare sample periods: compute the norm of the sampled-data loop for each")
     parser.add_argument("--front", metavar="AXES", help=f"compute about 200 designs between two or three axes: {AXES_HELP}")

@@ -152,8 +152,7 @@ def near_lower_bound(
 
     Args:
         plant, Cy, states, Dyw, largest_gain: arguments of `two_steps_or_descent`.
-        lower_bound: lower bound on the norm of any controller from these measurements; computed for plants of at most 20 states
-            if it is None.
+        lower_bound: lower bound for any controller from these measurements; None: computed for plants of at most 20 states.
 
     Returns:
         The design, and the words: empty where nothing goes on from the two steps.

@@ -124,8 +124,7 @@ def static_output_feedback(
         largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
-        lower_bound: lower bound on the norm of any controller of this type, if known: it ends the search early, and is part of
-            the certificate.
+        lower_bound: lower bound on the norm of any such controller: ends the search early, and is part of the certificate.
         Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
             descent starts.
         rival: a norm that is reached otherwise; a gain that stays far above it is not followed further. Infinite without one.

@@ -190,8 +190,7 @@ class Designer:
         Raises:
             InputError: no controller has that name.
             DesignError: the controller could not be designed, or its certificate fails. A gain from the file is reported
-                unchanged. If the two steps cannot be completed, descent on the norm continues instead; see
-                `Controller.fallback_method`.
+                unchanged. If the two steps fail, descent on the norm continues; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)

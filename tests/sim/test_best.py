@@ -261,10 +261,7 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
     [
         (["--best", "colour"], "--best 'colour' is not a metric of this campaign; give at_stops, dynamic_load, force_peak"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
-        (
-            ["--best", "ride", "--subject-to", "travel:0.08"],
-            "'travel' is not a metric of this campaign, and peak_travel is; give",
-        ),
+        (["--best", "ride", "--subject-to", "travel:0.08"], "is not a metric of this campaign, and peak_travel is; give"),
         (["--best", "ride", "--subject-to", "peak_travel:-1"], "peak_travel:-1: peak_travel is never below 0; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is not a finite number; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
@@ -299,10 +296,7 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is not a section of the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' is a law in Python"),
         ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is none of the campaign's"),
-        (
-            "variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }",
-            "variants is the number of laws drawn in addition to",
-        ),
+        ("variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }", "variants is for samples of both"),
     ],
 )
 def test_bad_keys(tmp_path, monkeypatch, drawn, said):

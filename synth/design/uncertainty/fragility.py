@@ -80,8 +80,7 @@ class ErrorMargin:
         proved_margin: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
         bound: bound on the norm for these errors; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
-        readings, forces: relative errors of measurements and forces, shapes (q,) and (m,); 1 and -1 along the worst ray if none
-            are harmful.
+        readings, forces: those relative errors, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
     """
 
     proved_margin: float
