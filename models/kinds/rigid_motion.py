@@ -61,8 +61,8 @@ class RigidMotion:
         yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. For a body that only
-            heaves: its acceleration and that of its hub, and both heights.
+            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. A body that only
+            heaves has one acceleration and height, and those of its hub.
     """
 
     body: RigidBody

@@ -7,10 +7,8 @@ up, nose down and right side down. For a sprung mass m_s with its centre of mass
     braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. To model
-its inertia, increase `sprung_mass` and the moments of inertia in the vehicle file.
-
-By default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
+The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight, not inertia. By default,
+springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
 (`models/kinds/links.py`). Their share of braking, cornering and gusts, and the inertia of the wheels, then act on the wheels.
 """
 

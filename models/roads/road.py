@@ -461,7 +461,7 @@ class RoadInput:
     """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
 
     Heights and velocities are measured from the steady motion in which the vehicle starts (`MeasuredRoad`), which is an inertial
-    frame: in it, the run starts from rest. `steady` is that motion.
+    frame in which the run starts from rest. `steady` is that motion.
 
     Attributes:
         vehicle: r wheels, and a body that l loads push.

@@ -162,7 +162,7 @@ def check_results(options: argparse.Namespace) -> int:
         say(
             [
                 f"each of {verified.rows} runs has its row, with its inputs; {len(verified.again)} of them, drawn with seed "
-                f"{options.seed}, were driven again and are the same to the last bit",
+                f"{options.seed}, were driven again and are the same bit for bit",
                 "",
                 "the results hold what the campaign comes to",
             ]

@@ -110,7 +110,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
-                f"[samples.controllers] {quoted(controller)} is none of the campaign's; it has {listing(controllers)}"
+                f"[samples.controllers] {quoted(controller)} is not a controller of the campaign; it has {listing(controllers)}"
             )
         for name, vehicle in vehicles.items():
             of_laws[name][controller] = _variants(controller, table, name, vehicle, method, variants, seed)
@@ -162,7 +162,7 @@ def _variants(
             raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; omit relative")
         own[one.name] = value
         for end in one.ends:
-            with error_in(f"{where} the distribution reaches a value that is none, for vehicle {name!r}:"):
+            with error_in(f"{where} the distribution reaches an invalid value, for vehicle {name!r}:"):
                 drawn_entry(vehicle, controller, {one.name: (value or 0.0) * end if one.relative else end})
     return _drawn(distributions, own, method, count, seed)
 
@@ -222,7 +222,7 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
         raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(own)}")
     scale = own[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:
-        with error_in(f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}:"):
+        with error_in(f"[samples.parameters] the distribution reaches an invalid value, for vehicle {name!r}:"):
             if distribution.name in parameters:
                 parameters[distribution.name].check(scale * end)
             else:

@@ -45,7 +45,7 @@ class PhysicsRuns:
         ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
         requested_force: requested forces at every sample [N], shape (N, T, m).
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
-            infinite where they ran away, else NaN.
+            infinite where they diverged, else NaN.
         states: the signals of each controller's states.
     """
 

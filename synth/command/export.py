@@ -63,7 +63,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
-            f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
+            f"written to {folder}; its README.md shows how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
     return 0

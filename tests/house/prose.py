@@ -13,11 +13,11 @@ from tests.support.commands import ROOT
 from tests.support.pages import PAGES
 from tests.support.sources import sources
 
-MOST = {"docs": 999, "models": 999, "synth": 999, "sim": 999}  # findings in a folder: lower these, never raise them
+MOST = {"docs": 9, "models": 2, "synth": 10, "sim": 35}  # findings in a folder: lower these, never raise them
 
 WORDS = (
     r"anew|nobody|shall|mend (?:it|that|the)|doubts?|(?:is|are|was) (?:told|asked for)|told apart|whole numbers?|held against"
-    r"|leave (?:it|them|one) out|name (?:it|each) once|by turns|squeeze[sd]|ran away|to the last bit|foretold|in place of"
+    r"|leave (?:it|them|one) out|name (?:it|each) once|by turns|squeeze[sd]|ran away|to the last bit|in place of"
     r"|as (?:it is |they are )?built|each by itself|goes? together|in the mean|brakes and curves"
 )
 NO_NOUN = (

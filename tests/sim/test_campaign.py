@@ -535,7 +535,7 @@ BAD_FILES = [
     (
         {},
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",
-        "reaches a value that is none, for vehicle 'quarter_car': sprung_mass = -10",
+        "reaches an invalid value, for vehicle 'quarter_car': sprung_mass = -10",
     ),
     ({}, SAMPLED + "sprung_mass = { uniform = ['400 kg', '500 kg'], relative = true }", "and a pure number is expected"),
     (

@@ -86,7 +86,7 @@ class Robustness:
 
 def varied_text(kind: VehicleKind) -> str:
     """Describes the variations of a kind of vehicle."""
-    return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} says how far it varies"
+    return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} has a range"
 
 
 def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, tuple[str, ...]]:
@@ -120,7 +120,7 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
     if len(variations) > MOST:
         raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
     for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
-        with error_in("--vary reaches a vehicle that is none:"):
+        with error_in("--vary reaches an invalid vehicle:"):
             vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)
     return variations
 
