@@ -153,8 +153,8 @@ def test_parts_that_do_not_fit(folder, part, value, said):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("</mujoco>", "", r"MuJoCo does not take it \(.*XML"),
-        ('site="sprung"', 'site="nowhere"', r"MuJoCo does not take it \(.*nowhere"),
+        ("</mujoco>", "", r"MuJoCo rejects it \(.*XML"),
+        ('site="sprung"', 'site="nowhere"', r"MuJoCo rejects it \(.*nowhere"),
         (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations name"),
         (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is not a direction"),
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),

@@ -501,8 +501,8 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
     [
         ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
         ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
-        ("gravel", "unknown road 'gravel'; give iso8608, bump"),
-        ("", "unknown road ''; give iso8608, bump"),
+        ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
+        ("", "unknown road ''; give one of iso8608, bump"),
         ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or one with its unit"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
         (

@@ -291,7 +291,7 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] draws nothing; give keys of its law"),
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "has no key 'gain[0][1]'; it has gain[0][0]"),
-        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "its law skyhook has nothing beside its name"),
+        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "its law skyhook has no keys except its name"),
         ('[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }', "controller 'I' is designed, and the file has no law"),
         ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is not a section of the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' is a law in Python"),

@@ -155,7 +155,7 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
         ([], "no campaign was named"),
         (["--verify", "{begun}"], "runs are not there yet"),
         (["--verify", "{empty}"], "is empty"),
-        (["--verify", "{whole}", "--workers", "2"], "--workers does not go with it"),
+        (["--verify", "{whole}", "--workers", "2"], "cannot be combined with --workers"),
         (["campaign.toml", "--seed", "1"], "--seed selects what --verify drives again"),
         (["campaign.toml", "--workers", "0"], "from 1 to 1024"),
         (["campaign.toml", "--batch", "0"], "from 1 to 256"),
