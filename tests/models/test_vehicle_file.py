@@ -94,7 +94,7 @@ ADDED = {
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is run as it is"),
+        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is used unchanged"),
         ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
