@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
-            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; leave one of them out")
+            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; omit one of them")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)

@@ -134,7 +134,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     for what, names in {
         "no states; give at least one": () if model.states else ("",),
         "no input {}, the force of a suspension; add it": forces - {*model.inputs},
-        "no output {}, a signal of the kind; add it, or take it out of the signals": signals - {*model.outputs},
+        "no output {}, a signal of the kind; add it, or remove it from the signals": signals - {*model.outputs},
         "an output {}, which is not a signal of the kind; add it to the signals": {*model.outputs} - signals,
         "a state or input {} that is not an output; add it to them": {*model.states, *model.inputs} - {*model.outputs},
         "a state or input {} that is a signal on demand; add it to signals": {*model.states, *model.inputs} & {*kind.unnamed},

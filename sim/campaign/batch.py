@@ -136,7 +136,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
-    """The sampled loop as `sim.linear.sampled_response` has it: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump
+    """The sampled loop as in `sim.linear.sampled_response`: xi' = loop xi + of_now z_r + of_midway z_r(h/2), x = xi + jump
     z_r.
 
     Loads f add of_loads f, and of_felt times those of the step before, by way of measured accelerations; so do they to outputs.
@@ -177,7 +177,7 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     """Returns the rows of some runs of one vehicle, or None if stopped.
 
     Args:
-        stopped: asked now and then whether to give up.
+        stopped: function that returns True to abort; called from time to time.
     """
     keys = [plan.key(run) for run in range(start, stop)]
     campaign, rows = plan.campaign, {}

@@ -44,9 +44,9 @@ class Request:
     """The metric of `--best` and the limits of `--subject-to`.
 
     Attributes:
-        metric: of which the least is best.
+        metric: metric that is minimised.
         limits: the most that other metrics may be, in SI units.
-        units: of the limits; empty for numbers without one.
+        units: units of the limits; empty for numbers without one.
     """
 
     metric: str
@@ -55,7 +55,7 @@ class Request:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """All metrics that are asked for."""
+        """All metrics that are requested."""
         return tuple(dict.fromkeys((self.metric, *self.limits)))
 
     @property
@@ -69,13 +69,13 @@ class Choice:
     """The best of a vehicle's controllers, or the one nearest to the limits.
 
     Attributes:
-        vehicle: its name in the campaign.
-        request: what was asked for.
+        vehicle: name of the vehicle in the campaign.
+        request: request of the user.
         candidate: the controller; None if none has numbers.
-        values: drawn keys of its law.
-        numbers: of the metrics that were asked for.
-        within: how many candidates are within the limits; 0 if the candidate is only the nearest.
-        count: how many candidates there are.
+        values: keys of the law that were drawn.
+        numbers: values of the requested metrics.
+        within: number of candidates within the limits; 0 if the candidate is only the nearest.
+        count: number of candidates.
         near: relative distances of the candidates that the table's digits do not tell from the best, by name.
     """
 
@@ -96,7 +96,7 @@ class Choice:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The choice as JSON has it: the controller, or the nearest one if none is within the limits."""
+        """The choice as in JSON: the controller, or the nearest one if none is within the limits."""
         candidate, request = self.candidate, self.request
         about = {"vehicle": self.vehicle, "metric": request.metric, "limits": dict(request.limits)}
         about |= {"within": self.within, "of": self.count, "best": None, "nearest": None}
@@ -137,12 +137,12 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
     """Returns what the options ask for; None without `--best`.
 
     Raises:
-        InputError: a metric is unknown, or none of a vehicle's; a limit is no number; options do not go together.
+        InputError: a metric is unknown or missing for a vehicle; a limit is not a number; options cannot be combined.
     """
     if best is None:
         for option, given in (("--subject-to", bool(limits)), ("--save", save is not None)):
             if given:
-                raise InputError(f"{option} says what --best chooses; give it with --best METRIC, or leave it out")
+                raise InputError(f"{option} is for the choice of --best; give it with --best METRIC, or omit it")
         return None
     _check_metric("--best", best, campaign)
     read: dict[str, float] = {}
@@ -157,7 +157,7 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
         except ValueError:
             limit = math.nan
         if not math.isfinite(limit):
-            raise InputError(f"{where}: {quoted(number)} is no finite number; {GIVE}")
+            raise InputError(f"{where}: {quoted(number)} is not a finite number; {GIVE}")
         if limit < 0 and not _may_be_negative(metric, campaign):
             raise InputError(f"{where}: {metric} is never below 0; {GIVE}")
         if metric in read:
@@ -187,7 +187,7 @@ def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     known = {key for vehicle in campaign.vehicles.values() for key in _known(vehicle, campaign.loaded)} | {*KEYS}
     if name not in known:
         meant = [key for key in KEYS if name and name in key]
-        unknown = f"{quoted(name)} is no metric of this campaign{f', and {listing(meant)} is' if meant else ''}"
+        unknown = f"{quoted(name)} is not a metric of this campaign{f', and {listing(meant)} is' if meant else ''}"
         raise InputError(
             f"{option} {unknown}; give {listing(KEYS)}, or a metric's column of its results, as sprung_acceleration_weighted"
         )
@@ -208,7 +208,7 @@ def _by_name(vehicle: Vehicle, loaded: bool) -> dict[str, Metric]:
 def _check_save(campaign: Campaign, path: Path) -> None:
     """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
     if len(campaign.vehicles) > 1:
-        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; name one vehicle in it")
+        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; list one vehicle in it")
     ((name, vehicle),) = campaign.vehicles.items()
     for controller in campaign.variants[name]:
         check_name("--save:", controller + SUFFIX, ())
@@ -221,7 +221,7 @@ def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> 
     """Returns the choice of every vehicle.
 
     Args:
-        standings: of all candidates, by vehicle.
+        standings: standings of all candidates, by vehicle.
     """
     return [_choice(plan, store, request, vehicle, some) for vehicle, some in standings.items()]
 
@@ -272,14 +272,14 @@ def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:
     """Writes the vehicle file with the chosen controller, whole or not at all; returns the controller's name in it.
 
-    A variant becomes a section NAME_tuned; another controller stands in the file as it is. A comment says where it comes from.
+    A variant becomes a section NAME_tuned; another controller keeps its section. A comment contains the origin.
 
     Args:
-        command: that was called.
+        command: command line that was called.
         identity: checksum of the campaign.
 
     Raises:
-        InputError: it cannot be written, or would not be read back as it is.
+        InputError: the file cannot be written, or would not be read back with the same values.
     """
     candidate, vehicle = choice.candidate, campaign.vehicles[choice.vehicle]
     assert candidate is not None, "there is one"

@@ -1,4 +1,4 @@
-"""The columns of a campaign's results: name, type, and what the number is, as the Parquet file has it beside each."""
+"""The columns of a campaign's results: name, type and description, as in the metadata of the Parquet file."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ class Column:
 
     Attributes:
         kind: int, float or str.
-        about: its `unit`, its `definition` and, for an approximate expectation, `approximate`.
+        about: metadata of the column: `unit`, `definition` and, for an approximate expectation, `approximate`.
     """
 
     kind: type

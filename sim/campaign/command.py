@@ -35,7 +35,7 @@ NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions d
 
 
 def run_campaign(options: argparse.Namespace) -> int:
-    """Runs what is missing of the campaign that was named, and says what came out; returns the exit code.
+    """Runs the missing part of a campaign and prints the results; returns the exit code.
 
     Raises:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
@@ -51,7 +51,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     )
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
     if options.ray is not None and "workers" in options.given:
-        raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
+        raise InputError("--workers are threads of this machine, and --ray has workers of its own; omit one of them")
     workers = options.workers or cores()
     with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
         stage = Stages("designs", "runs", "results")
@@ -134,17 +134,17 @@ def run_campaign(options: argparse.Namespace) -> int:
 
 
 def check_results(options: argparse.Namespace) -> int:
-    """Checks a finished campaign and says what was found; returns the exit code.
+    """Checks a finished campaign and prints the findings; returns the exit code.
 
     Raises:
         InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
     """
     for name in ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "best", "subject_to", "save"):
         if name in options.given or (name == "subject_to" and options.subject_to):
-            raise InputError(f"--verify runs no campaign, so --{name.replace('_', '-')} does not go with it; leave it out")
+            raise InputError(f"--verify runs no campaign and cannot be combined with --{name.replace('_', '-')}; omit it")
     folder = options.verify
     if not folder.is_dir():
-        raise InputError(f"--verify {folder}: there is no such folder; give one of a finished campaign's results")
+        raise InputError(f"--verify {folder}: there is no such folder; give the results folder of a finished campaign")
     try:
         runs, verified, remark = _found(options, folder)
     except FaultError as error:
@@ -162,7 +162,7 @@ def check_results(options: argparse.Namespace) -> int:
         say(
             [
                 f"each of {verified.rows} runs has its row, with its inputs; {len(verified.again)} of them, drawn with seed "
-                f"{options.seed}, were driven again and are the same to the last bit",
+                f"{options.seed}, were driven again and are the same bit for bit",
                 "",
                 "the results hold what the campaign comes to",
             ]

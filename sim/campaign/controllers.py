@@ -32,7 +32,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> Controllers:
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: a controller cannot be designed, the file of a law cannot be read, or the folder does not fit.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
@@ -46,10 +46,10 @@ def designed_at_start(campaign: Campaign, gains: Gains, folder: Path) -> Control
     """Returns the controllers that a campaign began with. Nothing is run.
 
     Args:
-        gains: as its folder has them.
+        gains: gains in the campaign's folder.
 
     Raises:
-        FaultError: gains are missing, or are no gains.
+        FaultError: gains are missing, or are not gains.
         InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
     """
 
@@ -118,13 +118,13 @@ def check_code(gains: Gains, exported: Path) -> None:
     """Refuses the code of a folder with which a campaign did not begin.
 
     Raises:
-        InputError: it is other code, or the campaign began without any.
+        InputError: the code differs, or the campaign began without code.
     """
     from synth.controller.export.folder import MANIFEST
 
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
     if sha256(read_text(exported / MANIFEST, "manifest", "name a folder of --export")) not in codes:
-        raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")
+        raise InputError(f"--as {exported}: the campaign began without this code; give another folder with --results")
 
 
 def _strange(error: Exception) -> FaultError:

@@ -29,17 +29,17 @@ class Campaign:
     """A campaign, as its file says.
 
     Attributes:
-        vehicles: as they are read, by the name that the file has for them.
+        vehicles: vehicles by their names in the campaign file.
         controllers: names; every vehicle has them all.
-        roads: what was asked for.
-        speeds: [m/s].
-        seeds: of the random roads; other roads run once.
-        duration: of every run [s].
+        roads: roads that are requested.
+        speeds: speeds of the vehicle [m/s].
+        seeds: seeds of the random roads; other roads run once.
+        duration: duration of every run [s].
         settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
-        timestep: [s].
+        timestep: timestep of the physics [s].
         samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
-        variants: of every vehicle and controller whose law is drawn, by variant: values by key.
-        sample_seed: of samples and variants.
+        variants: values by key for each variant, of every vehicle and controller whose law is drawn.
+        sample_seed: seed of samples and variants.
         text: the file.
     """
 
@@ -93,7 +93,7 @@ def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
     """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
 
     Args:
-        own_kinds: as for `read_vehicle`.
+        own_kinds: folder of custom vehicle types, as in `read_vehicle`.
     """
     with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent, own_kinds)
@@ -164,10 +164,10 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
             )
         return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
-        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds; give how many, or a list of whole numbers")
+        raise InputError(f"seeds = {quoted(seeds)} is invalid; give a number of seeds or a list of integers")
     checked_seeds = tuple(check_seed(seed) for seed in seeds)
     if len(set(checked_seeds)) < len(checked_seeds):
-        raise InputError("seeds has one twice; name each once")
+        raise InputError("seeds contains a duplicate; list each seed once")
     return checked_seeds
 
 
@@ -179,7 +179,7 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
     if not isinstance(values, list):
         raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
     if not values:
-        raise InputError(f"{key} = [] names none, so there are no runs; {give}")
+        raise InputError(f"{key} = [] is empty, so there are no runs; {give}")
     return values
 
 
@@ -189,7 +189,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     for value, meant in zip(written, read, strict=True):
         if meant in first:
             twice = f" names {first[meant]} twice" if first[meant] == quoted(value) else None
-            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; name each once")
+            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; list each once")
         first[meant] = quoted(value)
 
 

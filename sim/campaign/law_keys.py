@@ -24,13 +24,13 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
     """
     where, entry = f"controller {controller!r}", vehicle.controllers.get(controller)
     if entry is None:
-        raise InputError(f"{where} is no section of the vehicle file, and has no law to be drawn; name another one")
+        raise InputError(f"{where} is not a section of the vehicle file, and has no law to be drawn; give another one")
     if entry.semi_active is not None:
         if not (keys := LAWS[entry.semi_active.name][2]):
-            raise InputError(f"{where}: its law {entry.semi_active.name} has nothing beside its name; draw another one's keys")
+            raise InputError(f"{where}: its law {entry.semi_active.name} has no keys except its name; draw another one's keys")
         return {key: dict(entry.semi_active.numbers).get(key) for key in keys}
     if entry.python is not None:
-        raise InputError(f"{where} is {entry.python.with_article}, whose numbers stand in its own file; draw another one's keys")
+        raise InputError(f"{where} is {entry.python.with_article}, whose numbers are in its own file; draw another one's keys")
     if entry.law is None:
         raise InputError(
             f"{where} is designed, and the file has no law of it to be drawn; write its gain first, with python -m synth --save"

@@ -16,8 +16,8 @@ from synth.controller.controller import Driver
 
 NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
-FULL = "free some space or name another folder with --results; what is done is kept"
-ELSEWHERE = "name another folder, empty or new, with --results, or remove what is there"
+FULL = "free some space or give another folder with --results; what is done is kept"
+ELSEWHERE = "give another folder, empty or new, with --results, or remove what is there"
 
 
 class FaultError(InputError):
@@ -30,7 +30,7 @@ Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a campaign runs, from its beginning on.
+    """The content of a campaign, fixed at its beginning.
 
     Attributes:
         file: absolute path of the campaign file when the campaign began.
@@ -54,7 +54,7 @@ class Manifest:
         """Writes it into the results folder.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         with whole_file(folder / NAME, "results", FULL) as path:
             path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8", newline="\n")
@@ -124,7 +124,7 @@ def digest(sources: str) -> str:
 def gains_of(
     controllers: Mapping[str, Mapping[str, Driver]],
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """The gains, by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum, and no code."""
+    """The gains, by vehicle and controller, as in JSON, with every digit; for a law in Python its checksum, and no code."""
 
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
@@ -137,19 +137,19 @@ def locked(folder: Path) -> Iterator[None]:
     """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
-        InputError: it cannot be made or written, or another campaign is running in it.
+        InputError: the folder cannot be created or written, or another campaign is running in it.
     """
-    with made_folder(folder, "results", "name another folder with --results"):
+    with made_folder(folder, "results", "give another folder with --results"):
         lock = filelock.FileLock(folder / LOCK, timeout=0)
         try:
             lock.acquire()
         except filelock.Timeout:
             raise InputError(
-                f"another campaign is running in {folder}; wait for it, or name another folder with --results"
+                f"another campaign is running in {folder}; wait for it, or give another folder with --results"
             ) from None
         except OSError as error:
             raise InputError(
-                f"results {folder}: cannot be locked ({error.strerror or error}); name another folder with --results"
+                f"results {folder}: cannot be locked ({error.strerror or error}); give another folder with --results"
             ) from error
         try:
             for left in folder.glob(".*.part*"):

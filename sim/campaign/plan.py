@@ -39,7 +39,7 @@ class Candidate:
     """A controller of a vehicle, or a variant of one whose law is drawn.
 
     Attributes:
-        controller: its name.
+        controller: name of the controller.
         variant: number of the variant; None for the law of the vehicle file.
     """
 
@@ -58,8 +58,8 @@ class Plan:
 
     Attributes:
         campaign: the campaign.
-        controllers: by vehicle and name.
-        variants: of every vehicle, the drawn laws of each controller that has some.
+        controllers: controllers by vehicle and name.
+        variants: drawn laws by vehicle and controller, for controllers that have some.
     """
 
     campaign: Campaign
@@ -126,8 +126,8 @@ class Plan:
         """Yields the runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
 
         Args:
-            gaps: ascending.
-            most: asked before each batch how many runs it may have.
+            gaps: gaps, ascending.
+            most: function that returns how many runs the next batch may have; called before each batch.
         """
         vehicles = list(self.campaign.vehicles.values())
         for start, stop in gaps:
@@ -140,7 +140,7 @@ class Plan:
                 start = end
 
     def inputs(self, key: RunKey) -> dict[str, Any]:
-        """Returns the inputs of a run as its row has them."""
+        """Returns the inputs of a run as in its row."""
         c = self.campaign
         name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
         sample, controller = c.samples[name][key.sample], c.controllers[key.controller]

@@ -36,9 +36,9 @@ class Distribution:
     """Distribution of a parameter.
 
     Attributes:
-        name: of the parameter.
+        name: name of the parameter.
         shape: "uniform", from a to b, or "normal", of mean a and standard deviation b, cut at three of them.
-        a, b: in SI, or multiples of each vehicle's own value.
+        a, b: numbers of the distribution in SI units, or multiples of each vehicle's own value.
         relative: True for multiples.
     """
 
@@ -69,8 +69,8 @@ class Draws:
 
     Attributes:
         vehicles: parameters of every vehicle, by sample: values by name. One empty sample where none are drawn.
-        laws: of every vehicle and controller whose law is drawn, by variant: values by key.
-        seed: of the draws.
+        laws: values by key for each variant, of every vehicle and controller whose law is drawn.
+        seed: seed of the draws.
     """
 
     vehicles: Mapping[str, tuple[Mapping[str, float], ...]]
@@ -86,7 +86,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         raise InputError("'samples' is not a section; write it as [samples]")
     check_keys("[samples]", section, SAMPLES)
     if "count" not in section:
-        raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] 'count' is missing; give how many samples, an integer from 1 to {MOST_RUNS}")
     count, method = _count(section, "count"), section.get("method", "latin_hypercube")
     if method not in METHODS:
         raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {listing(METHODS)}")
@@ -98,7 +98,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         )
     if "variants" in section and len(drawn) < len(DRAWN):
         raise InputError(
-            "[samples] variants is how many laws are drawn beside 'count' vehicles, and one of both is; leave it out"
+            "[samples] variants is for samples of both parameters and controllers, and only one of both is sampled; omit it"
         )
     variants = _count(section, "variants") if "variants" in section else count
     seed = check_seed(section.get("seed", 0))
@@ -110,7 +110,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
-                f"[samples.controllers] {quoted(controller)} is none of the campaign's; it has {listing(controllers)}"
+                f"[samples.controllers] {quoted(controller)} is not a controller of the campaign; it has {listing(controllers)}"
             )
         for name, vehicle in vehicles.items():
             of_laws[name][controller] = _variants(controller, table, name, vehicle, method, variants, seed)
@@ -120,7 +120,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
 def _count(section: Mapping[str, Any], key: str) -> int:
     count = section[key]
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give an integer from 1 to {MOST_RUNS}")
     return count
 
 
@@ -139,7 +139,7 @@ def _vehicle_samples(
     for name, vehicle in vehicles.items():
         samples[name] = _drawn(distributions, _values(vehicle), method, count, seed)
         for row in samples[name]:
-            with error_in(f"[samples] a sample of vehicle {name!r} is no vehicle:"):
+            with error_in(f"[samples] a sample of vehicle {name!r} is not a valid vehicle:"):
                 sampled = with_sample(vehicle, row)
                 vehicle.kind.check(sampled.parameters)
                 _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
@@ -159,10 +159,10 @@ def _variants(
         with error_in(f"{where} vehicle {name!r}:"):
             value = check_key(vehicle, controller, one.name)
         if one.relative and value is None:
-            raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; leave relative out")
+            raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; omit relative")
         own[one.name] = value
         for end in one.ends:
-            with error_in(f"{where} the distribution reaches a value that is none, for vehicle {name!r}:"):
+            with error_in(f"{where} the distribution reaches an invalid value, for vehicle {name!r}:"):
                 drawn_entry(vehicle, controller, {one.name: (value or 0.0) * end if one.relative else end})
     return _drawn(distributions, own, method, count, seed)
 
@@ -196,7 +196,7 @@ def _unit_samples(method: str, dimensions: int, count: int, seed: int) -> Array:
 def _distribution(where: str, name: str, entry: Any, unit: str = "") -> Distribution:
     example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
+        raise InputError(f"{where} = {quoted(entry)} is not a distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
     shapes = [key for key in entry if key != "relative"]
     if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
         raise InputError(
@@ -222,7 +222,7 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
         raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(own)}")
     scale = own[distribution.name] if distribution.relative else 1.0
     for end in distribution.ends:
-        with error_in(f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}:"):
+        with error_in(f"[samples.parameters] the distribution reaches an invalid value, for vehicle {name!r}:"):
             if distribution.name in parameters:
                 parameters[distribution.name].check(scale * end)
             else:

@@ -37,7 +37,7 @@ class Store:
     """The results folder of one campaign, used by one process at a time.
 
     Attributes:
-        folder: its place.
+        folder: path of the folder.
         runs: number of runs of the campaign.
         schema: schema of the rows; its metadata describe what the numbers come from.
         damaged: a sentence for each file that is not complete, and whose runs are run again.
@@ -83,7 +83,7 @@ class Store:
         """Adds the rows of the runs from `start` on.
 
         Raises:
-            InputError: they cannot be written.
+            InputError: the results cannot be written.
         """
         part = Part(start, start + len(rows), self.folder / f"part-{start:09d}-{start + len(rows):09d}.parquet")
         with whole_file(part.path, "results", FULL) as path, path.open("wb") as file:

@@ -65,7 +65,7 @@ Standings = Mapping[str, Mapping[Candidate, Standing]]  # by vehicle
 
 
 def compared_object(standings: Standings) -> list[dict[str, Any]]:
-    """Returns the standings by vehicle as JSON has them."""
+    """Returns the standings by vehicle as in JSON."""
     return [{"vehicle": vehicle, **standings_object([*some.values()])} for vehicle, some in standings.items()]
 
 
@@ -73,7 +73,7 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
     """Returns a table of standings for each vehicle; of variants only those that have the least of something.
 
     Args:
-        chosen: a candidate of each vehicle that stands in its table anyway.
+        chosen: a candidate of each vehicle that its table contains in any case.
     """
     lines = []
     for vehicle, every in standings.items():
@@ -100,8 +100,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
     square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
     having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
-    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. Of a law in Python nothing is
-    predicted; a run whose law failed has no metrics, either. Of a drawn law there are the root mean squares of each variant, too.
+    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. A law in Python has no
+    prediction; a run whose law failed has no metrics, either. A drawn law has the root mean squares of each variant, too.
     """
     lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
@@ -288,7 +288,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
-        entries: what it came to, see `summarise`.
+        entries: results of the campaign, see `summarise`.
 
     Returns:
         None if no run has both metrics.
@@ -332,7 +332,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
         "runs, of the worst point of the vehicle, with two standard errors."
-        + (" Crosses: with actuators that push in place of adjustable dampers." if crossed else "")
+        + (" Crosses: with force actuators instead of semi-active dampers." if crossed else "")
         + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
     )
     return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=finding)
@@ -352,7 +352,7 @@ def _finding(panels: Sequence[Panel], end: str) -> str:
     """Returns who rides best and who holds the road best, in how many panels; an empty text without a choice.
 
     Args:
-        end: of the labels of one vehicle, which is left out.
+        end: ending of the labels of one vehicle, which is omitted.
     """
     best = [one for panel in panels if (one := _best(panel, end))]
     if not best:
@@ -381,10 +381,10 @@ class RoadAndSpeed:
     Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, and without adjustable dampers.
 
     Attributes:
-        plan: of the campaign.
-        name: of the vehicle, in it.
+        plan: plan of the campaign.
+        name: name of the vehicle in the campaign.
         vehicle: itself.
-        road, speed: where.
+        road, speed: conditions of the runs.
     """
 
     plan: Plan

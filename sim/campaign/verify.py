@@ -45,14 +45,14 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
     """Checks a finished campaign.
 
     Args:
-        plan: its runs, with the gains that its folder holds.
-        count: how many runs are driven again.
-        own: whether laws in Python are run.
-        progress: is told how many are done.
+        plan: plan with the runs, and the gains in the campaign's folder.
+        count: number of runs that are driven again.
+        own: True to run laws in Python.
+        progress: callback that receives the number of finished runs.
 
     Raises:
         InputError: the campaign is not finished.
-        FaultError: its results are no Parquet file.
+        FaultError: the results of the campaign are not a Parquet file.
     """
     if not store.finished:
         left = sum(stop - start for start, stop in store.missing())
@@ -117,7 +117,7 @@ def _same_preview(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
 
 
 def _made(law: LinearLaw) -> tuple[object, ...]:
-    """Returns what two laws have in common to the last bit, beside their numbers."""
+    """Returns the properties of a law, except its numbers, that are equal bit for bit if two laws are the same."""
     return law.D.shape, law.states, law.sample_period, law.anti_windup
 
 
@@ -126,7 +126,7 @@ def _near(one: Array, two: Array, share: float) -> bool:
 
 
 def _asked(law: LinearLaw) -> list[float]:
-    """Frequencies at which a law with states is told from another [rad/s], from below its slowest pole to above its fastest."""
+    """Frequencies at which two dynamic controllers are compared [rad/s], from below its slowest pole to above its fastest."""
     poles = np.linalg.eigvals(law.A)
     if law.sample_period is None:
         rates = np.abs(poles)

@@ -80,12 +80,12 @@ def _check_address(address: str) -> None:
     """Checks that a server listens at an address: Ray itself would look for it for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
-        raise InputError(f"--ray {address}: is no address; give HOST:PORT of a cluster's head, or auto")
+        raise InputError(f"--ray {address}: is not an address; give HOST:PORT of a cluster's head, or auto")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
     except OSError as error:
         raise InputError(
-            f"--ray {address}: nobody answers there ({error.strerror or error}); give the one that ray start --head printed"
+            f"--ray {address}: there is no answer ({error.strerror or error}); give the address that ray start --head printed"
         ) from error
 
 

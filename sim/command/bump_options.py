@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, or a controller cannot be
-designed, 2 bad input
+exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
+cannot be designed; 2 invalid input
 
 examples:
   python -m sim.bump --controller I
@@ -28,14 +28,14 @@ examples:
 def parser() -> Parser:
     """The options."""
     parser = Parser(
-        "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
+        "sim.bump", "Drive over one bump in MuJoCo and in linear analysis, compare the responses, and record them.", EPILOG
     )
     add_vehicles(parser)
     parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
-    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
     parser.add_argument(
-        "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
+        "--track", choices=("left", "right", "both"), default="both", help="side of the vehicle with the bump (default: both)"
     )
     add_run_options(parser, 3.0)
     return parser

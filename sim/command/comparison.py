@@ -47,7 +47,7 @@ def controllers_of(
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: none can be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: no controller can be designed, the file of a law cannot be read, or the folder does not fit.
     """
     drivers: list[Driver] = []
     errors: dict[str, InputError] = {}
@@ -135,10 +135,10 @@ def recorded(
     """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
     Args:
-        options: as the command's parser read them, `--logs` among them.
+        options: options from the command's parser, `--logs` among them.
         controllers: names of those that were run.
-        runs: makes those that are recorded, by the names they have there, and is not called in vain.
-        result: as `--json` prints it.
+        runs: function that returns the runs to record, by their names in the log; called only if logs are written.
+        result: result for `--json`.
     """
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
@@ -181,7 +181,7 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequenc
 
     Args:
         brief: True for no lines.
-        runs: recorded runs; of more than `FEW` nothing is said but the files.
+        runs: runs that are recorded; for more than `FEW` of them only the files are printed.
     """
     paths = {name: Path(path) for name, path in logs.items() if path}
     if not paths or brief:
@@ -195,13 +195,13 @@ def check_view(options: argparse.Namespace) -> None:
     """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: `--no-logs` disables the recording, or `--open` has no display.
+        InputError: `--no-logs` disables the recording, or no display exists for `--open`.
     """
     if not (options.open or options.serve):
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; leave one out"
+            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; omit one of them"
         )
     if options.open:
         from sim.command.viewer import check_display
@@ -313,12 +313,12 @@ def standings_of(
     without: Sequence[str] = (),
     title: str = "",
 ) -> "list[Standing]":
-    """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
+    """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
         samples: first measured sample, and the one after the last; None for the end of the runs.
         measured: metrics of the runs between these samples, if known.
-        without: part of the vehicle that each run omits; empty if all are as built.
+        without: part of the vehicle that each run omits; empty if no run omits a part.
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure

@@ -35,10 +35,10 @@ class Driven:
 
     Attributes:
         vehicle: vehicle of the file.
-        title: its name in the answer; empty if it is the only one.
+        title: title of the answer; empty if it is the only one.
         names: requested controllers.
-        runs: runs of the controllers as built, then of those without a part of the vehicle.
-        without: omitted part for each run; empty as built.
+        runs: runs of the implemented controllers, then of those without a part of the vehicle.
+        without: omitted part for each run; empty as implemented.
         design: designs the vehicle's linear controllers.
     """
 
@@ -51,7 +51,7 @@ class Driven:
 
     @property
     def built(self) -> list[Run]:
-        """The runs as built."""
+        """The runs of the implemented loops."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
@@ -116,9 +116,9 @@ def drive(
     """Runs the command; returns its exit code.
 
     Args:
-        options: as the command's parser read them.
+        options: options from the command's parser.
         road_of: returns the requested road under a vehicle at its sample times [s].
-        where: describes the road in words.
+        where: function that describes the road in words.
         rides: True to measure the ride, and the response to a step.
 
     Raises:
@@ -225,10 +225,10 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
             raise InputError(f"--without {part} is given twice; give it once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file has that in [limits], [implementation] or [actuators]; leave it out"
+                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit the option"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
-        raise InputError("--as drives one vehicle as it is built; leave --without and further --vehicle out")
+        raise InputError("--as drives one vehicle as implemented; omit --without and give one --vehicle")
     if len(vehicles) > 1 and (options.open or options.serve):
         raise InputError("--open and --serve show the recording of one vehicle, and each has its own; give one --vehicle")
 
@@ -259,7 +259,7 @@ def _measured(options: Namespace, driven: Sequence[Driven], road: Road, time: Ar
 
 
 def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | None) -> list[dict[str, Any]]:
-    """Returns the result of every vehicle, as logs and JSON have it."""
+    """Returns the result of every vehicle, as in logs and JSON."""
     results, metrics = [], list(measured.metrics) if measured else []
     for each in driven:
         road, time = each.runs[0].road, each.runs[0].prediction.time

@@ -8,7 +8,7 @@ from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from sim.command.road_options import add_loads
 
 EPILOG = """
-exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
+exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it first reaches another limit; 2 invalid input;
 130 interrupted
 
 examples:
@@ -20,26 +20,24 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser(
-        "sim.envelope", "Maps where linear analysis holds over bumps, and what breaks first where it does not.", EPILOG
-    )
-    parser.add_one("passive, state, or one of the vehicle file's")
+    parser = Parser("sim.envelope", "Map the bumps over which linear analysis is valid, and the limits of the others.", EPILOG)
+    parser.add_one("passive, state, or a controller of the vehicle file")
     parser.add_argument(
         "--vary",
         action="append",
         metavar="NAME:LOW:HIGH:COUNT",
-        help="an axis: height, length or speed; give one or two",
+        help="axis of the map: height [m], length [m] or speed [m/s], for example height:0.02:0.3:20; give one or two axes",
     )
-    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height, where it is not varied")
-    parser.add_number("--length", BUMP_LENGTH, "m", "bump length, where it is not varied")
-    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed, where it is not varied")
-    add_loads(parser, "pushes the body over every bump")
-    parser.add_number("--threshold", 0.05, "-", "largest error at which linear analysis is said to hold, as a share of a peak")
-    parser.add_number("--duration", 3.0, "s", "how long every run is")
+    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height, if not varied")
+    parser.add_number("--length", BUMP_LENGTH, "m", "bump length, if not varied")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle, if not varied")
+    add_loads(parser, "load on the body over every bump")
+    parser.add_number("--threshold", 0.05, "-", "largest error with which linear analysis counts as valid, relative to the peak")
+    parser.add_number("--duration", 3.0, "s", "duration of each run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
-    parser.add_logs("the cells nearest to where something breaks")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every cell's numbers")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map, as .png or .svg; needs matplotlib")
+    parser.add_logs("the runs closest to each limit")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the numbers of every cell (.csv)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png or .svg); needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

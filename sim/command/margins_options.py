@@ -6,12 +6,11 @@ from models.common.command import Parser
 from sim.studies.stability import TIMESTEP
 
 EPILOG = """
-errors [%]: every reading is off by a factor of its own, between 1 - error and
-1 + error, and of several forces every force, too. Of one force that is an error
-of each entry of its gain. What is proved is true of all such errors; found are
-the worst, along which MuJoCo looks for the edge. An actuator's lag counts.
+errors [%]: each measurement has a factor of its own between 1 - error and 1 + error. With several forces, so has each force. With
+one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search finds the worst errors,
+and MuJoCo finds the stability limit along them. The lag of the actuators is included.
 
-exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
+exit code: 0 prediction and MuJoCo agree; 1 they disagree; 2 invalid input
 
 examples:
   python -m sim.margins --controller II
@@ -25,21 +24,21 @@ def parser() -> Parser:
     """The options."""
     parser = Parser(
         "sim.margins",
-        "Finds how much gain, phase, delay and sample period a loop bears, and how large errors of what it reads.",
+        "Find the margins of a loop for gain, phase, delay, sample period and errors of the measurements.",
         EPILOG,
     )
-    parser.add_one("state, or one of the vehicle file's")
-    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_one("state, or a controller of the vehicle file")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are multiples of it")
     parser.add_argument(
         "--vary",
         action="append",
         default=[],
         metavar="NAME:LOW:HIGH",
-        help="other vehicles: a parameter from LOW to HIGH times the vehicle's own, up to four; by default what the kind says",
+        help="vary up to four parameters from LOW to HIGH times their value (default: the parameters of the vehicle type)",
     )
-    parser.add_logs("MuJoCo on either side of the delay margin")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
-    parser.add_printed("each loop, norms with errors, rounded numbers and each other vehicle")
+    parser.add_logs("MuJoCo runs on both sides of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png or .svg); needs matplotlib")
+    parser.add_printed("each loop, norms with errors, effects of rounding, and each varied vehicle")
     return parser
 
 

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
 
 EPILOG = """
-A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
-energy outside it.
-exit code: 0 every claim holds, or physics has left the linear regime and the text says how; 1 a claim fails, or nothing could be
-measured of a law as every run of it diverged; 2 bad input
+Linear analysis does not apply to a control law in Python. The law runs over one sinusoid at a time, and the output contains the
+fundamental and the energy at other frequencies.
+exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, or every run of a law
+diverged, so that nothing is measured; 2 invalid input
 
 examples:
   python -m sim.sweep --picture sweep.png
@@ -28,15 +28,15 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser("sim.sweep", "Identifies frequency responses in MuJoCo and compares them with the linear analysis.", EPILOG)
+    parser = Parser("sim.sweep", "Measure frequency responses in MuJoCo and compare them with linear analysis.", EPILOG)
     parser.add_controller_and_vehicle("default: passive, state, I and II")
-    parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
-    parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
+    parser.add_number("--amplitude", 1e-4, "m", "largest height of each road; a larger height can reach the vehicle's limits")
+    parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; matters only if there are rear wheels")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     add_exported(parser)
-    parser.add_logs("every controller on its worst sinusoid")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
-    parser.add_printed("every signal, invariant and road of each controller, as of a single one")
+    parser.add_logs("each controller over its worst sinusoid")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png or .svg); needs matplotlib")
+    parser.add_printed("every signal, invariant and road of each controller, as for a single controller")
     return parser
 
 

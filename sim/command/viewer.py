@@ -71,7 +71,7 @@ def serve_viewer(recording: Path) -> None:
     Says on stderr where it is, as stdout is for the result.
 
     Raises:
-        InputError: it does not come up.
+        InputError: the viewer does not start.
     """
     page, data = _free_ports(2)
     command = [

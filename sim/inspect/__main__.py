@@ -17,9 +17,9 @@ from models.common.printed import Whole, say, wrapped
 LISTED = 16  # logs; of more only those are listed that do not prove what they claim
 
 EPILOG = """
-exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
+The command runs the logged vehicle again, compares the signals and results, and checks the certificate of the controller.
 
-It runs the logged vehicle again and compares: does the vehicle file do this, and does its certificate hold?
+exit code: 0 the log still proves its claims; 1 it does not; 2 invalid input; for several logs, the largest code
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or a single file that is no log of ours.
+        InputError: bad options, or a single file that is not a log of Roadproof.
     """
     options = _parser().parse_args(arguments)
     from models.figures.outputs import check_outputs
@@ -43,11 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.inspect.report import proof_lines, proof_object
 
     if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(f"kinds {options.kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
+        raise InputError(f"kinds {options.kinds}: there is no such folder; give that of a custom vehicle type (.py and .xml)")
     if len(options.logs) > 1:
         if options.csv is not None:
             raise InputError(
-                f"--csv writes the signals of one log, and {len(options.logs)} were named; give one, or leave it out"
+                f"--csv writes the signals of one log, and {len(options.logs)} are given; give one log, or omit --csv"
             )
         return _several(options.logs, options.kinds, options.verbose, options.json)
     (path,) = options.logs
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: bool) -> int:
-    """Inspects logs in turn, and keeps none; a file that is no log is said, and the others are inspected all the same.
+    """Inspects logs in turn. A file that is not a log gets a message, and the others are inspected.
 
     Args:
         full: True for all findings, else a line for each log.
@@ -112,19 +112,19 @@ def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: boo
 def _parser() -> Parser:
     parser = Parser(
         "sim.inspect",
-        "Says what logs are, and by computing it anew from what each holds, whether it still proves what it claims.",
+        "Recompute logged runs from the content of each log, and check whether the log still proves its claims.",
         EPILOG,
     )
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an .mcap file that a run has written; several in turn")
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=".mcap file of a run; one or more")
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write MuJoCo's, the logged and the recomputed signals of one log"
+        "--csv", type=Path, metavar="FILE", help="write the signals of one log: logged, and recomputed by MuJoCo (.csv)"
     )
     parser.add_argument(
-        "--kinds", type=Path, metavar="DIR", help="folder of a kind of vehicle of your own; its Python is run (default: none)"
+        "--kinds", type=Path, metavar="DIR", help="folder of a custom vehicle type, whose Python is executed (default: none)"
     )
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, also of several logs")
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, for several logs, too")
     printed.add_argument(
-        "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
+        "--json", action="store_true", help="print one JSON object and nothing else; for several logs {logs, proves}"
     )
     return parser

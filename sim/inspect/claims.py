@@ -75,7 +75,7 @@ def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     """Notes that the log makes no claim about the controller's goals.
 
     Args:
-        controller: its law is the logged one.
+        controller: controller with the law from the log.
     """
     entry = vehicle.controllers.get(controller.name)
     if entry is not None and entry.goals is not None:

@@ -23,7 +23,7 @@ class Finding:
 
     Attributes:
         part: subject of the claim.
-        verdict: one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
+        verdict: verdict, one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
         text: the result in words.
     """
 
@@ -68,7 +68,7 @@ def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -
     """Yields the paths at which a JSON value differs from the recomputed one.
 
     Args:
-        path: of the value in the whole.
+        path: path of the value in the record.
         absolute: tolerance of numbers, if that is more than the relative one, `SAME`.
     """
     if not isinstance(now, Mapping):

@@ -28,8 +28,8 @@ class Samples:
     """A response in a log.
 
     Attributes:
-        names: of its signals, S of them.
-        times: [ns], shape (T,).
+        names: names of the S signals.
+        times: times of the samples [ns], shape (T,).
         values: shape (T, S).
     """
 
@@ -43,9 +43,9 @@ class RecordedRun:
     """A run in a log.
 
     Attributes:
-        name: its name.
-        claims: its metadata as text, by key, see `sim.recording.run_records.run_log`.
-        responses: those of `RESPONSES` that the log has.
+        name: name of the run.
+        claims: metadata as text, by key, see `sim.recording.run_records.run_log`.
+        responses: responses that the log contains, by their names in `RESPONSES`.
     """
 
     name: str
@@ -68,11 +68,11 @@ class Log:
     """A log.
 
     Attributes:
-        path: its file.
-        metadata: of the whole log, as text by key.
-        attachments: their contents, by name.
-        runs: in the order of the file.
-        messages: how many it has, of all channels.
+        path: path of the file.
+        metadata: metadata of the whole log, as text by key.
+        attachments: contents of the attachments, by name.
+        runs: runs in the order of the file.
+        messages: number of messages, in all channels.
     """
 
     path: Path
@@ -91,7 +91,7 @@ class Log:
         """Returns the attached result of the command, a JSON object.
 
         Raises:
-            InputError: it is not attached, or is not JSON.
+            InputError: the result is not attached, or is not JSON.
         """
         if "result.json" not in self.attachments:
             raise InputError("result.json is not attached")
@@ -101,7 +101,7 @@ class Log:
         """Returns the attachment that a run's claim names.
 
         Raises:
-            InputError: it is not attached.
+            InputError: the file is not attached.
         """
         name = run.claims.get(claim, "")
         if name not in self.attachments:
@@ -113,7 +113,7 @@ def read_log(path: Path) -> Log:
     """Reads a log; the MCAP library compares the checksums of its chunks, attachments and data.
 
     Raises:
-        InputError: it cannot be read, is not MCAP, is cut or damaged, is of another format, or Roadproof has not written it.
+        InputError: the file cannot be read, is not MCAP, is damaged, has another version, or was not written by Roadproof.
     """
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader
@@ -159,7 +159,7 @@ def read_json(text: str | bytes, what: str) -> Any:
     """Returns JSON from a log.
 
     Raises:
-        InputError: it is not JSON.
+        InputError: the text is not JSON.
     """
     try:
         return json.loads(text)

@@ -26,7 +26,7 @@ class Inspected:
 
     Attributes:
         recorded: the run in the log.
-        findings: about every claim.
+        findings: findings about every claim.
         again: the run made again, or None if that was not possible.
     """
 
@@ -40,10 +40,10 @@ class Proof:
     """A log, checked.
 
     Attributes:
-        log: what was read.
-        vehicle: of the attached file, or None.
-        findings: about the file as a whole.
-        runs: its runs.
+        log: log that was read.
+        vehicle: vehicle of the attached file, or None.
+        findings: findings about the file as a whole.
+        runs: runs of the log.
     """
 
     log: Log

@@ -85,10 +85,10 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run, driven by its exported code, which is made anew, if such code drove the run.
+    """Returns the controller of a run, driven by its exported code, which is generated again, if such code drove the run.
 
     Raises:
-        InputError: it is not a controller of this vehicle, or there is no such code of it.
+        InputError: the record is not a controller of this vehicle, or its code does not exist.
     """
     controller = recorded_law(log, vehicle, run)
     if "code" not in run.claims:
@@ -104,7 +104,7 @@ def recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     A law in Python is the attached text.
 
     Raises:
-        ValueError: it is not a controller of this vehicle, or its proof is malformed.
+        ValueError: the record is not a controller of this vehicle, or its proof is malformed.
     """
     name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
@@ -136,8 +136,8 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> 
     """Makes a run again: predicts it by linear analysis, and runs MuJoCo. A law in Python applies the forces in the log.
 
     Args:
-        vehicle: its vehicle, see `implemented`.
-        controller: its controller, see `recorded_controller`.
+        vehicle: vehicle of the run, see `implemented`.
+        controller: controller of the run, see `recorded_controller`.
 
     Raises:
         InputError: the road or the timestep is wrong, or responses or forces are not in the log.
@@ -173,7 +173,7 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
     """Returns a logged response with the vehicle's signals, in their order, and those of its controller's states.
 
     Raises:
-        InputError: it is not in the log, or has other signals.
+        InputError: the response is not in the log, or has other signals.
     """
     logged = run.responses.get(name)
     if logged is None:

@@ -15,7 +15,7 @@ FEW = 2  # runs that are told with road and law where not every finding is
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
-    """Returns the result as JSON has it: SI units, None for missing values."""
+    """Returns the result as in JSON: SI units, None for missing values."""
     log = proof.log
     return {
         "log": str(log.path),

@@ -25,7 +25,7 @@ def write_signals(path: Path, proof: Proof) -> None:
     columns = [] if vehicle is None else [(one, dict(_responses(proof, vehicle, one))) for one in proof.runs]
     longest = max((len(one.time) for _, responses in columns for one in responses.values()), default=0)
     if not longest:
-        raise InputError("--csv: there are no signals in the log to write; leave it out")
+        raise InputError("--csv: there are no signals in the log to write; omit it")
     time = np.arange(longest) * proof.log.timestep
     write_columns(path, time, [column for one, some in columns for column in run_columns(one.recorded.name, some)])
 

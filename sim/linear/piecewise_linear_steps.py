@@ -37,8 +37,8 @@ class Weights:
     """Coefficients of k adjustable dampers beyond their nominal ones, for N runs over a step.
 
     Attributes:
-        now: actual, at the step's start [N s/m], shape (N, k).
-        set_to: commanded [N s/m], shape (N, k), the same if no valve lags.
+        now: coefficients that act at the step's start [N s/m], shape (N, k).
+        set_to: coefficients that are commanded [N s/m], shape (N, k), equal to `now` if no valve lags.
     """
 
     now: Array
@@ -52,7 +52,7 @@ class CurvedSteps:
         """Prepares the steps for a linear model whose first states are the vehicle's.
 
         Args:
-            timestep: [s].
+            timestep: timestep of the steps [s].
             exact: True for exact steps, False for those of RK4.
             dampers: True if the vehicle's adjustable dampers have weights, in its order; the model must then be its own.
         """
@@ -120,8 +120,8 @@ class CurvedSteps:
 
         Args:
             xi: xi before the step, shape (N, n).
-            inputs: held inputs, shape (N, m).
-            heights: held road heights [m], shape (N, r).
+            inputs: inputs, held over the step, shape (N, m).
+            heights: heights of the road, held over the step [m], shape (N, r).
             pushed: contribution of held loads to xi', shape (N, n), or None.
             weights: weights of the adjustable dampers, if any.
         """
@@ -199,7 +199,7 @@ class CurvedSteps:
         Args:
             some: indices of the N runs.
             since: start of their series after the step's start [s], shape (N,).
-            length: [s], shape (N,).
+            length: length of the step [s], shape (N,).
         """
         far = (weights.now - weights.set_to)[some] * np.exp(-self.rates * since[:, None])
         count = self.order + 1 if self.rates.any() else 1
@@ -254,7 +254,7 @@ def _series(A: Array, nonlinear: Elements, steepest: Array, rate: float, timeste
     Args:
         steepest: largest ratio of force to argument of each element, shape (e,).
         rate: rate of the fastest valve [rad/s].
-        timestep: [s].
+        timestep: timestep of the series [s].
     """
     worst = np.abs(A) + np.abs(nonlinear.push) @ (steepest[:, None] * np.abs(nonlinear.rows))
     balanced = np.asarray(linalg.matrix_balance(worst, permute=False)[0])

@@ -71,7 +71,7 @@ class Decisions:
         """Prepares a controller that samples with this period.
 
         Args:
-            period: [s].
+            period: sample period [s].
             near: largest margin that is attributed to rounding, see `DecisionMismatch.margin`.
             peaks: the peak of a signal, or of "velocity", that of the suspensions.
         """
@@ -181,8 +181,8 @@ def switched(
     """Returns the response from rest.
 
     Args:
-        decisions: those of its controller, or None if the commands are known.
-        commands: known commands, shape (T, 2 m), see `CoefficientRange.commands`; with decisions, those of physics.
+        decisions: decisions of the controller, or None if the commands are known.
+        commands: commands if known, shape (T, 2 m), see `CoefficientRange.commands`; with decisions, those of physics.
         as_rk4: True for RK4's own arithmetic.
     """
     vehicle, time, h = road.vehicle, road.time, road.timestep
@@ -238,7 +238,7 @@ def switched_response(controller: Controller | SemiActive, road: RoadInput) -> R
     Unless there are curves or loads it is proportional to the road, as a force over a velocity decides a coefficient.
 
     Args:
-        road: what the vehicle meets; noise on its measurements is left out.
+        road: road under the vehicle; noise on its measurements is omitted.
     """
     road = replace(road, vehicle=replace(road.vehicle, implementation=road.vehicle.implementation.without_noise))
     vehicle, period = road.vehicle, steps_per_sample(road.vehicle.implementation, road.timestep) * road.timestep

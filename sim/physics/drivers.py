@@ -28,7 +28,7 @@ class RecordedForces:
     """Forces that are known beforehand, whatever the measurements.
 
     Attributes:
-        measured: measurements of the original controller, so that everything is read in the same order, to the last bit.
+        measured: measurements of the original controller, so that everything is read in the same order bit for bit.
         forces: requested at every step [N], shape (T, m).
     """
 
@@ -98,7 +98,7 @@ def preview_forces(
 
     Args:
         heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
-        timestep: [s].
+        timestep: timestep of the forces [s].
         samples: T.
     """
     ahead = [one.preview if isinstance(one, Controller) else None for one in controllers]
@@ -128,11 +128,11 @@ class PythonLaws:
 
         Args:
             controllers: N laws.
-            vehicles: one for each controller.
+            vehicles: vehicles, one for each controller.
             signals: names of the signals that can be measured.
-            timestep: [s].
+            timestep: timestep of the runs [s].
             heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
-            failures: receives failures, whose runs go on without forces, or None to raise them.
+            failures: dict that receives failures, whose runs continue without forces, or None to raise them.
             numbers: keys of the runs in `failures`.
 
         Raises:
@@ -277,7 +277,7 @@ class Dampers:
         """Writes the dampers' signals among those of some samples, shape (B, S, N).
 
         Args:
-            commands: see `CoefficientRange.commands`, shape (B, N, 2 m).
+            commands: commands as in `CoefficientRange.commands`, shape (B, N, 2 m).
             acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
         vehicle, m = self.vehicles[0], len(self.closing)
@@ -389,7 +389,7 @@ class Clipped:
 class SemiActiveLaws:
     """N semi-active laws, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
 
-    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its steps.
+    A single run is computed in plain numbers, which are the same bit for bit: calls of numpy would take as long as its steps.
     """
 
     flat = False

@@ -112,6 +112,6 @@ def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
     if not is_law_of(code.law, vehicle, driver):
         raise InputError(
             f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "
-            "implementation; leave out --as"
+            "implementation; omit --as"
         )
     return code

@@ -108,7 +108,7 @@ class BatchInputs:
         controllers: N controllers, all linear, all in Python, all semi-active, or all played.
         now: road heights at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
-        timestep: [s].
+        timestep: timestep of the physics [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
         going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
@@ -145,7 +145,7 @@ def in_blocks(course: BatchInputs) -> Iterator[Block]:
 def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
-    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
+    The numbers of a run are bit for bit independent of other runs of its controller, of shares, and of blocks: sums over a
     run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
     are.
 
@@ -205,7 +205,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
     if coded:
         if undelayed is not None or len(periods) > 1:
-            raise InputError("exported code drives whole controllers of one sample period; leave out --as")
+            raise InputError("exported code drives whole controllers of one sample period; omit --as")
         noise = measurement_noise([one.implementation for one in vehicles], _seen_names(readout, dampers), len(now))
         if len(noise):
             for i, one in enumerate(controllers):

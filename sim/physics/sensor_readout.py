@@ -38,7 +38,7 @@ class Laws(Protocol):
 
         Args:
             due: indices of the due controllers; a slice for all.
-            which: the same as indices, ascending, shape (d,).
+            which: indices of the runs, ascending, shape (d,).
         """
         ...
 

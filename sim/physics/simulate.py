@@ -45,7 +45,7 @@ class PhysicsRuns:
         ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
         requested_force: requested forces at every sample [N], shape (N, T, m).
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
-            infinite where they ran away, else NaN.
+            infinite where they diverged, else NaN.
         states: the signals of each controller's states.
     """
 
@@ -67,7 +67,7 @@ class PhysicsRuns:
 def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
-    A run's numbers do not depend, to the last bit, on other runs of its controller: different implementations share no batch.
+    The numbers of a run are bit for bit independent of other runs of its controller: different implementations share no batch.
 
     Args:
         controllers: N controllers.
@@ -186,7 +186,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
-        held: see `BatchInputs`.
+        held: signals that are held over a step, see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.

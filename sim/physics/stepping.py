@@ -28,7 +28,7 @@ _STAGES = {
 
 
 class Alone:
-    """Single run with the interface of a batch; its numbers are those of a batch to the last bit."""
+    """Single run with the interface of a batch; its numbers are those of a batch bit for bit."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         """Starts at rest."""

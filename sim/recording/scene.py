@@ -77,7 +77,7 @@ class Tyre:
         name: unique within its body.
         body: the body that carries it, with the hub at its origin.
         radius: undeformed radius [m].
-        half_width: [m].
+        half_width: half of the tyre's width [m].
         middle: middle of its width along the axle, y of the body's frame [m].
         height: height of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the ground.
         rgba: colour, 0 to 1, shape (4,).
@@ -102,7 +102,7 @@ class Track:
     """A road's profile along one track, which moves towards the vehicle.
 
     Attributes:
-        name: unique.
+        name: name of the track, unique.
         middle: middle of its width, along y [m].
         position: ascending positions of its points along x at time 0 [m], shape (N,).
         height: heights of the points [m], shape (N,).

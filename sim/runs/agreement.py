@@ -247,7 +247,7 @@ def halve_geometry(
 
     Args:
         small: response of MuJoCo and prediction at `SMALL` of the height.
-        half: the same at `HALVED`.
+        half: response and prediction at `HALVED` of the height.
     """
     (physics, known), (nearer, known_nearer), end = small, half, agreement.until
     signals = {}
@@ -297,9 +297,9 @@ def foretell(
     That effect is what leaves RK4's own response: the integrator's error is the same share of every height, no power of it.
 
     Args:
-        prediction: over the whole road.
+        prediction: prediction over the whole road.
         physics: response of MuJoCo over it.
-        parts: the same two over `PARTS` of its height.
+        parts: responses and predictions over `PARTS` of the height.
     """
     whole, end, signals = prediction.integrated, agreement.until, {}
     for name, signal in agreement.signals.items():

@@ -42,9 +42,9 @@ class Prediction:
 
     Attributes:
         input: the vehicle, with the limits and implementation of this run, and its road.
-        controller: its controller.
+        controller: controller of the run.
         sampled: exact response of the sampled loop: linear, except for curves.
-        integrated: the same as RK4 makes it.
+        integrated: response of the loop that RK4 integrates.
         continuous: exact linear response of the continuous closed loop.
         spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, with the
             measured effect of exported code, at every sample, shape (T,); empty without them.
@@ -55,7 +55,7 @@ class Prediction:
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
         played: True if they follow all decisions of physics, because of noisy measurements or a law in Python.
         loop: the linear loop, or None.
-        code_effect: measured difference of exported code from the law, or None without such code.
+        code_effect: effect of the exported code compared with the law, or None without such code.
     """
 
     input: RoadInput
@@ -166,7 +166,7 @@ class ScaledPrediction:
 
     Attributes:
         sampled: exact response of the sampled loop.
-        integrated: the same as RK4 makes it, or None if both are proportional to the whole road's.
+        integrated: response of the loop that RK4 integrates, or None if both are proportional to the whole road's.
     """
 
     sampled: Response
@@ -263,7 +263,7 @@ def predict_replayed(controller: Driver, road: RoadInput, physics: Response, req
 
     Args:
         controller: a law in Python, or any controller of a vehicle with adjustable dampers.
-        requested_force: its requested forces, see `PhysicsRuns`.
+        requested_force: forces requested by the controller, see `PhysicsRuns`.
     """
     vehicle = road.vehicle
     if vehicle.dampers:

@@ -289,8 +289,8 @@ def compare_runs(
     A run with exported code is also compared with the run of the law itself, which is made here.
 
     Args:
-        predictions: over the same sample times, of vehicles of the same kind.
-        requested_force: their controllers' requests, see `PhysicsRuns`; None if they are not known.
+        predictions: predictions over the same sample times, of vehicles of the same kind.
+        requested_force: requests of the controllers, see `PhysicsRuns`; None if they are not known.
     """
     predictions = _with_code_effects(predictions, physics)
     requests = [None] * len(predictions) if requested_force is None else list(requested_force)
@@ -372,8 +372,8 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
     A run that leaves more energy over than is usual is driven at half the step, too.
 
     Args:
-        runs: over the same sample times, of vehicles of the same kind.
-        physics: the same runs with their states.
+        runs: runs over the same sample times, of vehicles of the same kind.
+        physics: results of MuJoCo for the runs, with their states.
     """
     runs = [
         replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))

@@ -190,7 +190,7 @@ def left_over(
     """Returns the response of the linear vehicle to the differences of single steps alone, by output signal.
 
     Args:
-        requested_force: as for `compare_steps`.
+        requested_force: forces requested by the controller, as in `compare_steps`.
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, from_steady(road, physics.until(until))
@@ -212,7 +212,7 @@ class _Starts:
     Attributes:
         vehicle: vehicle with its limits.
         timestep: length of the steps [s].
-        state: see `Motion`, shape (K, n).
+        state: states as in `Motion`, shape (K, n).
         heights: road heights [m], including those after the last step, shape (K + 1, r).
         midway: heights at which the road is held during the steps, shape (K, r).
         loads: loads held during the steps, see `RoadInput.held`.

@@ -28,7 +28,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     """Writes the folder of one controller and prints what is in it; returns the exit code.
 
     Raises:
-        InputError: there is no such controller, it cannot be exported, or the folder is not empty.
+        InputError: the controller does not exist or cannot be exported, or the folder is not empty.
     """
     names = [name for name in vehicle.controller_names if name != "passive"]
     given = options.controller or []
@@ -36,7 +36,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         raise InputError(f"--export writes one controller; give --controller with one of: {', '.join(names)}")
     name, folder = one_chosen(names, given[0] if given else None), options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
+        raise InputError(f"--export {folder}: is there already, and not empty; give another folder, or remove it")
     prefix = c_name(name)
     saved, own = saved_with_law(vehicle, name)
     driver = driver_of(saved, own)
@@ -63,7 +63,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
-            f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
+            f"written to {folder}; its README.md shows how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
     return 0
@@ -92,7 +92,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: one is not written so, out of range, or given twice.
+        InputError: a range does not have this form, is out of range, or is given twice.
     """
     ranges = {}
     for text in given:

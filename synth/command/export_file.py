@@ -36,7 +36,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> int:
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers is of code, and a file for MATLAB has double numbers; leave it out")
+        raise InputError("--numbers is of code, and a file for MATLAB has double numbers; omit it")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
@@ -81,7 +81,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> int:
     from synth.controller.export.fmu import fmu
 
     if options.part != "controller" and "numbers" in options.given:
-        raise InputError(f"--numbers is of a controller's code, and --part {options.part} is linear equations; leave it out")
+        raise InputError(f"--numbers is of a controller's code, and --part {options.part} is linear equations; omit it")
     model, resources, about = _controller(vehicle, options) if options.part == "controller" else _linear(vehicle, options)
     with whole_file(options.export, "export") as beside:
         made = fmu(model, options.fmi, resources, about)
@@ -127,7 +127,7 @@ def _linear(vehicle: Vehicle, options: Namespace) -> tuple[FmuModel, dict[str, s
     kind = f"{vehicle.kind.name}, linear"
     if options.part == "vehicle":
         if options.controller:
-            raise InputError("--part vehicle has no controller in it; leave --controller out, or ask for --part loop")
+            raise InputError("--part vehicle has no controller in it; omit --controller, or request --part loop")
         model = linear_model(c_name(vehicle.kind.name), kind, vehicle_system(vehicle))
         return model, {VEHICLE: vehicle.text}, _about(model)
     linear, given = [name for name in vehicle.linear_names if name != "passive"], options.controller or []

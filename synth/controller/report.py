@@ -164,7 +164,7 @@ def false_norm(
     Args:
         record: a checked certificate; None for a controller without one.
         vehicle: vehicle with the controller's implementation.
-        norm_of_loop: computes the norm (`norm_if_implemented`); called only if a norm is claimed.
+        norm_of_loop: function that computes the norm (`norm_if_implemented`); called only if a norm is claimed.
     """
     said = (record or {}).get(SAMPLED_NORM)
     if said is None:
@@ -317,7 +317,7 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented leave it out"
+            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented omit it"
         )
     return lines
 

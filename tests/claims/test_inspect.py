@@ -399,7 +399,7 @@ def test_several(brief, parts, tmp_path, capsys, monkeypatch):
 
 def test_csv_is_of_one_log(log, tmp_path):
     """A table of several logs is refused, before anything is read or written."""
-    with pytest.raises(InputError, match=r"^--csv writes the signals of one log, and 2 were named; give one, or leave it out$"):
+    with pytest.raises(InputError, match=r"^--csv writes the signals of one log, and 2 are given; give one log, or omit --csv$"):
         main([str(log), str(log), "--csv", str(tmp_path / "signals.csv")])
     assert not (tmp_path / "signals.csv").exists()
 

@@ -142,8 +142,8 @@ commands that drive                                            1151   1043    33
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3499    986
-    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
+house, pages, benchmarks                                          0   3600    986
+    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md

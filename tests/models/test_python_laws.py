@@ -388,7 +388,7 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "other.py:step"', "there is no such file"),
         ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain with law: a controller has one law"),
         ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
-        ("preview = 1.0", "preview is what a law in Python is told"),
+        ("preview = 1.0", "preview is the road ahead that a law in Python receives"),
     ],
 )
 def test_what_the_file_may_say(tmp_path, line, said):

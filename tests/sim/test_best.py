@@ -253,21 +253,21 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
     """`--verify` draws the same laws again, and finds every row and its run."""
     folder, _ = campaign
     assert main(["--verify", str(folder / "campaign-results"), "--runs", "8"]) == 0
-    assert "the same to the last bit" in prose(capsys.readouterr().out)
+    assert "the same bit for bit" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--best", "colour"], "--best 'colour' is no metric of this campaign; give at_stops, dynamic_load, force_peak"),
+        (["--best", "colour"], "--best 'colour' is not a metric of this campaign; give at_stops, dynamic_load, force_peak"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
-        (["--best", "ride", "--subject-to", "travel:0.08"], "'travel' is no metric of this campaign, and peak_travel is; give"),
+        (["--best", "ride", "--subject-to", "travel:0.08"], "is not a metric of this campaign, and peak_travel is; give"),
         (["--best", "ride", "--subject-to", "peak_travel:-1"], "peak_travel:-1: peak_travel is never below 0; give METRIC:LIMIT"),
-        (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is no finite number; give METRIC:LIMIT"),
+        (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is not a finite number; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
         (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride has two limits; give the smaller one"),
-        (["--subject-to", "ride:1"], "--subject-to says what --best chooses"),
-        (["--save", "x.toml"], "--save says what --best chooses"),
+        (["--subject-to", "ride:1"], "--subject-to is for the choice of --best"),
+        (["--save", "x.toml"], "--save is for the choice of --best"),
         (["--best", "ride", "--save", "car.toml"], "--save car.toml is an input file; give another file"),
         (["--best", "ride", "--save", "x.txt"], "a vehicle file is TOML"),
     ],
@@ -291,12 +291,12 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] draws nothing; give keys of its law"),
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "has no key 'gain[0][1]'; it has gain[0][0]"),
-        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "its law skyhook has nothing beside its name"),
+        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "its law skyhook has no keys except its name"),
         ('[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }', "controller 'I' is designed, and the file has no law"),
-        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is no section of the vehicle file"),
+        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' is not a section of the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' is a law in Python"),
-        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is none of the campaign's"),
-        ("variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }", "variants is how many laws are drawn beside"),
+        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is not a controller of the campaign"),
+        ("variants = 3\n[samples.controllers.hybrid]\nmix = { uniform = [0, 1] }", "variants is for samples of both"),
     ],
 )
 def test_bad_keys(tmp_path, monkeypatch, drawn, said):

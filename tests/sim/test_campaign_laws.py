@@ -218,7 +218,7 @@ def test_no_kind_that_came_with_results(tmp_path, capsys):
     results = tmp_path / "results"
     assert main([str(file), "--results", str(results)]) == 0
     mark.unlink()
-    with pytest.raises(InputError, match=r"'hopper' is a kind of somebody's own.*; where you trust what it names, .*--verify"):
+    with pytest.raises(InputError, match=r"'hopper' is a custom vehicle type.*; where you trust what it names, .*--verify"):
         main(["--verify", str(results)])
     assert not mark.exists()
     assert main(["--verify", str(results), str(file)]) == 0

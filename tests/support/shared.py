@@ -66,7 +66,9 @@ def keep_in(folder: Path) -> None:
 
 
 def made(make: Callable[..., T], *arguments: Any) -> T:
-    """Returns what a function makes of these arguments, made once in a session."""
+    """Returns what a function makes of these arguments, made once in a session; outside a session, made at each call."""
+    if not _folders:
+        return make(*arguments)
     file = _place(make, *arguments).with_suffix(".pickle")
     if not file.exists():
         with FileLock(file.with_suffix(".lock")):

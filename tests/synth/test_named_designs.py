@@ -106,7 +106,7 @@ def test_what_is_for_static_gains_alone(designer):
     """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
     with pytest.raises(DesignError, match='order = "full" with --refine: it is static gains'):
         designer.refine("full")
-    with pytest.raises(InputError, match="there is no L"):
+    with pytest.raises(InputError, match="only the two steps have an L"):
         designer.design("full", zero_l=True)
     assert designer.worth_refining(designer.design("lqr")) == 0.0
 
@@ -217,6 +217,6 @@ def test_the_table_says_what_commands_do(paper, part):
         if goes(command, entry.parts):
             continue
         why = next(refusal(command, each) for each in entry.parts if refusal(command, each))
-        with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
+        with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; omit --{command}"):
             ask("mine")
     assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))

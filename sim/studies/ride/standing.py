@@ -63,7 +63,7 @@ class Standing:
         values: values by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: part of the vehicle that this run omits, see `Vehicle.without`; empty as built.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
             A side without a stop is left out; empty without strokes or a run.
     """
@@ -180,8 +180,8 @@ class ComparedColumn:
 
     Attributes:
         measure: the column.
-        numbers: for every controller, the best marked.
-        changes: against passive [%]; None if they are not shown.
+        numbers: numbers of the controllers, the best marked.
+        changes: differences from passive [%]; None if they are not shown.
     """
 
     measure: Measure

@@ -40,7 +40,7 @@ class ExportedLaw:
 
     Attributes:
         name: prefix of all its names in C.
-        controller: its name in the vehicle file.
+        controller: name of the controller in the vehicle file.
         numbers: "double", "float", "int32" or "int16".
         period: seconds between samples; None if it needs none, as it has no states.
         inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
@@ -58,7 +58,7 @@ class ExportedLaw:
         coefficients: numbers of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
         ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
-        range_sources: where each range is from, in words.
+        range_sources: source of each range, in words.
     """
 
     name: str
@@ -123,10 +123,10 @@ def exported_law(
     Args:
         vehicle: the vehicle, with its limits and implementation.
         driver: a controller of it.
-        numbers: see `ExportedLaw`.
+        numbers: number format, as in `ExportedLaw`.
         name: prefix in C.
         ranges: largest magnitude of each reading, by name, for fixed point; a reading with a proved peak may be left out.
-        sources: where ranges are from, by name, if they were not given.
+        sources: sources of ranges that were not given, by name.
 
     Raises:
         InputError: the controller is a law in Python or an FMU, has states but no sample period, or sets dampers with curves.
@@ -141,9 +141,7 @@ def exported_law(
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
         raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
     if how.delay != int(how.delay):
-        raise InputError(
-            f"delay = {how.delay:g} samples is not a whole number; code gives forces at samples: give {int(how.delay)}"
-        )
+        raise InputError(f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}")
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
@@ -210,7 +208,7 @@ def _ranges(
         raise InputError("fixed point sets forces, and this vehicle has adjustable dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; leave it out")
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")
     known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
@@ -247,7 +245,7 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; in fixed point both are whole numbers."""
+        """Returns the outputs for the inputs of a sample; in fixed point both are integers."""
         if self.law.fixed is not None:
             return self._late(self._whole(self.law.fixed, [int(value) for value in seen]))
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):

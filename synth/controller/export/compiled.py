@@ -75,7 +75,7 @@ class ExportedCode:
         """The compiled code, built and loaded when first used.
 
         Raises:
-            InputError: there is no compiler, or it refuses the code.
+            InputError: there is no compiler, or the compiler rejects the code.
         """
         return _library(self.law.name, tuple(self.texts.items()))
 
@@ -109,7 +109,7 @@ class CompiledStep:
         seen: inputs in the order of the law's, to be written before a step.
         given: outputs of the last step.
         x: states, as they are after the last step.
-        step: makes a step.
+        step: function that executes a step.
         state: bytes of its state struct.
     """
 

@@ -1,4 +1,4 @@
-"""C99 of a law in fixed point: whole numbers alone, sums in 64 bits, and every result clipped in place of an overflow."""
+"""C99 of a law in fixed point: integers alone, sums in 64 bits, and every result clipped instead of an overflow."""
 
 from textwrap import indent
 
@@ -56,7 +56,7 @@ class FixedSource(CSource):
         ]
 
     def number(self, value: float) -> str:
-        """Returns a whole number."""
+        """Returns an integer."""
         return str(int(value))
 
     def data(self) -> str:

@@ -22,7 +22,7 @@ class FmuModel:
 
     Attributes:
         identifier: name of its library, a name in C.
-        title: one line.
+        title: title in one line.
         inputs: m signals, all names different from those of the outputs.
         outputs: p signals.
         states: n signals of continuous states; none of a sampled law.
@@ -49,7 +49,7 @@ def check_floating(numbers: str) -> None:
     """Refuses numbers that are not floating point, as an FMU's variables are.
 
     Raises:
-        InputError: they are whole numbers.
+        InputError: the numbers of the code are integers.
     """
     if numbers not in STILL:
         raise InputError(f"an FMU's variables are floating point, and {numbers} is not; give --numbers double or float")

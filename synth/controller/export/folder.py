@@ -149,7 +149,7 @@ def _whole_numbers(law: ExportedLaw) -> str:
     each = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
     ranges = "; ".join(f"`{name}` ±{most:g} {unit}, {source}" for name, most, unit, source in each)
     return (
-        "- Inputs and outputs are whole numbers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
+        "- Inputs and outputs are integers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
         f"- The ranges of the readings: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
     )
 
@@ -189,8 +189,8 @@ class ExportedFolder:
     """An exported folder.
 
     Attributes:
-        folder: its path.
-        vehicle: read from its vehicle file.
+        folder: path of the folder.
+        vehicle: vehicle from the folder's vehicle file.
         law: the law that was exported, from that file.
         failures: a line for each file that is missing or changed.
     """
