@@ -347,6 +347,44 @@ def messages() -> str:
 # Logs, from one that is written now
 
 
+TOPICS = {
+    "mujoco": "the simulation",
+    "linear": "its exact sampled response",
+    "continuous": "response of the paper's continuous loop",
+    "difference": "simulation minus sampled response, as a share of each signal's peak",
+    "loads": "forces and moments on the body, the sum and each one, held over a step",
+    "dampers": "forces of semi-active dampers, and of springs and dampers with characteristics, and their limits",
+    "events": "lift-offs, landings, bump stops and other events",
+    "transforms": "motion of the vehicle, 60 frames a second",
+    "shapes": "solids of the vehicle",
+    "scene": "struts, tyres and control forces, 60 frames a second",
+}
+LOGS = (
+    """# Logs
+
+A log is an MCAP file, which the `mcap` libraries of many languages read. [Record and view runs](../how-to/record-and-view.md)
+lists the viewers. Time counts from the start of the run.
+
+## Topics
+""",
+    """
+- With several controllers, a topic begins with the name of its controller, as in `/I/mujoco`. `/loads` exists if loads act.
+- Fields have the names of the [signals](signals.md). Metadata of the channel and comments in the schema contain their units.
+- The states of a dynamic controller are `controller_1` and so on, in its own coordinates, each as at the last sample. Viewers
+  plot the six states that contribute most to the forces. The state of a control law in Python is not recorded.
+
+## Fields of quarter_car_semi_active
+
+Other vehicles have their own signals.
+""",
+)
+ATTACHED = {
+    "vehicle.toml": "the vehicle file",
+    "model.xml": "the MJCF of the run",
+    "result.json": "output of `--json`, except `compared` and paths",
+}
+
+
 def log_page() -> str:
     """Returns the page of a log's channels, claims and attachments: those of a run that is recorded here."""
     from mcap.reader import make_reader
@@ -362,18 +400,14 @@ def log_page() -> str:
             summary = reader.get_summary()
             assert summary is not None
             claims = {one.name: one.metadata for one in reader.iter_metadata()}
-            attached = [(f"`{one.name}`", one.media_type) for one in reader.iter_attachments()]
-    rows = []
-    for channel in sorted(summary.channels.values(), key=lambda one: one.topic):
-        rows.append(
-            (f"`{channel.topic}`", summary.schemas[channel.schema_id].name, ", ".join(f"`{each}`" for each in channel.metadata))
-        )
-    text = "# Log channels\n\nThe channels of a run of `quarter_car_semi_active`; other vehicles have their own signals.\n"
-    text += f"\n{table(('topic', 'schema', 'units are given of'), rows)}"
+            attached = [(f"`{one.name}`", one.media_type, ATTACHED[one.name]) for one in reader.iter_attachments()]
+    there = {one.topic: (summary.schemas[one.schema_id].name, one.metadata) for one in summary.channels.values()}
+    rows = [(f"`/{name}`", there.get(f"/{name}", ("roadproof.Signals", ()))[0], content) for name, content in TOPICS.items()]
+    fields = [(f"`{name}`", ", ".join(f"`{one}`" for one in each)) for name, (_, each) in sorted(there.items()) if each]
+    text = f"{LOGS[0]}\n{table(('topic', 'schema', 'content'), rows)}{LOGS[1]}\n{table(('topic', 'fields'), fields)}"
     for name, values in claims.items():
         text += f"\n## Metadata {name}\n\n{', '.join(f'`{key}`' for key in values)}.\n"
-    text += f"\n## Attachments\n\n{table(('name', 'type'), attached)}"
-    return text + "\n`result.json` is what the command prints with `--json`.\n"
+    return text + f"\n## Attachments\n\n{table(('name', 'type', 'content'), attached)}"
 
 
 # Public names

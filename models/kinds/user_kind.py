@@ -22,7 +22,7 @@ from models.laws.user_code import compiled, run_own
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals of a wheel
 EQUATIONS = ("linear_model", "static_tyre_deflection", "angles", "write_mjcf")
-GIVE = "give the equations of the vehicle type, as docs/how-to/your-own-kind.md shows them"
+GIVE = "give the equations of the vehicle type, as docs/how-to/custom-vehicle-type.md shows them"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
@@ -41,7 +41,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     with _located(path):
         if not isinstance(kind, VehicleKind):
             has = f"its KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "it has no KIND"
-            raise InputError(f"{has}; end it with KIND = VehicleKind(...), as docs/how-to/your-own-kind.md shows")
+            raise InputError(f"{has}; end it with KIND = VehicleKind(...), as docs/how-to/custom-vehicle-type.md shows")
         if kind.name != name:
             raise InputError(f"its KIND is called {kind.name!r}; call it {name!r}, as its files are")
         check_parts(kind)

@@ -247,7 +247,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
         f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
-        f"1 m counts as {model.twist_rate:.4g} m/s (docs/how-to/vehicles-that-ship.md)"
+        f"1 m counts as {model.twist_rate:.4g} m/s (docs/built-in-vehicles.md)"
     ]
 
 

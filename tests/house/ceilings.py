@@ -29,7 +29,7 @@ vehicle file, types, equations, MJCF                           4836   1402    30
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
-    docs/tutorials/your-own-car.md docs/how-to/{limits-and-implementation,new,vehicles-that-ship,your-own-vehicle}.md
+    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,your-own-vehicle}.md
 laws and families in files                                      242    330     13
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
 foreign FMU as a controller                                     153    184      0
@@ -38,26 +38,26 @@ laws in Python                                                  598    694    14
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py docs/how-to/a-law-in-python.md
     docs/how-to/any-controller.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    121
-    models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/your-own-kind.md
+    models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1581   1028    128
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_{dampers,laws_held,measured_dampers}.py tests/*/test_semi_active*.py
-    docs/how-to/{adjustable-dampers,semi-active-laws}.md docs/tutorials/semi-active-damper.md
+    docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
 curves of dampers and springs, statistical linearisation       1669   1132     26
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
-    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/curves.md
+    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      403    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
 loads, links, tyre damping                                      815   1557     37
-    models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/roll-centres.md
+    models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1084    977      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1676    613     90
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py tests/models/test_roads.py
-    docs/how-to/a-road-in-python.md
+    docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     40
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
@@ -109,7 +109,7 @@ synth command, controller record, designer                     3143    638    14
 log re-verification                                            1045    600     44
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2261   1135     52
-    sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/{record-and-open,what-is-in-a-log}.md
+    sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
 page and figures                                               5769   1722     90
     sim/report/* models/figures/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py

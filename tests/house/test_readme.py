@@ -31,7 +31,7 @@ from tests.support.pages import ROOT, section, site
 
 @pytest.fixture
 def hopper(tmp_path):
-    """The vehicle of "Add your own kind of vehicle", its three files written to a folder of its own."""
+    """The vehicle of "Add a custom vehicle type", its three files written to a folder of its own."""
     return pages.hopper(tmp_path)
 
 
@@ -154,7 +154,7 @@ def test_functions_and_roads_from_python(capsys):
     """Laws and roads that are written in Python are driven and agree; a gain of python-control does as its certified one."""
     for snippet in (
         *section("docs/how-to/a-law-in-python.md", "A function in Python").blocks("python"),
-        *(block for one in pages.sections("docs/how-to/a-road-in-python.md") for block in one.blocks("python")),
+        *(block for one in pages.sections("docs/how-to/custom-roads.md") for block in one.blocks("python")),
         site("Controllers of python-control").blocks("python")[1],
     ):
         exec(compile(snippet, "page", "exec"), {"__name__": "page"})
@@ -187,7 +187,7 @@ def test_vehicle_file_snippets():
 
 def test_curves_snippet(tmp_path):
     """The curves are read where nothing else gives their parameters, and are what the text says of them."""
-    (snippet,) = site("Curves of dampers").blocks("toml")
+    (snippet,) = site("Springs and dampers").blocks("toml")
     (tmp_path / "spring.csv").write_text("deflection [mm], force [kN]\n-80, -1.4\n0, 0\n90, 1.2\n")
     lines = read_vehicle("quarter_car").text.splitlines()
     kept = [line for line in lines if not line.startswith(("suspension_damping =", "suspension_stiffness ="))]
