@@ -101,7 +101,7 @@ plant algebra, filters, any plant                              2249   1817    21
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights}.md
-synth command, controller record, designer                     3143    638    152
+synth command, controller record, designer                     3143    638    153
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
@@ -142,7 +142,7 @@ commands that drive                                            1151   1043    33
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3499    986
+house, pages, benchmarks                                          0   3502    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
     tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
