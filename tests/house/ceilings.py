@@ -31,12 +31,12 @@ vehicle file, types, equations, MJCF                           4836   1402    30
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,your-own-vehicle}.md
 laws and families in files                                      242    330     13
-    models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
+    models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     153    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
 laws in Python                                                  598    694    142
-    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py docs/how-to/a-law-in-python.md
-    docs/how-to/any-controller.md tests/claims/test_any_controller.py
+    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
+    docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    121
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1581   1028    128
@@ -70,20 +70,20 @@ goals, families, trade-off front                               4559   1670    17
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
-    docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
-uncertainty: fragility, mu, boxes                              2853    932     55
+    docs/how-to/{goals,proofs-of-goals,trade-off}.md
+uncertainty: fragility, mu, boxes                              2853    932     62
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
-    docs/how-to/errors-by-frequency.md
-sampled data: norm, bound, designs, rates                      2378   1452     61
+    docs/how-to/robustness.md
+sampled data: norm, bound, designs, rates                      2378   1452    108
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
-    tests/*/test_{sampled_*}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
+    tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
 export: C99, fixed point, FMI, MATLAB                          3622   1427    111
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                          1007    727    121
-    synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/controllers-with-states.md
+    synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
 static search, descent, refine                                 2009    760      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
@@ -100,8 +100,8 @@ certificates, norms, lower bounds                              3325   2265     6
 plant algebra, filters, any plant                              2249   1817    211
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
-    docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
-synth command, controller record, designer                     3143    638    141
+    docs/how-to/{any-linear-plant,weights}.md
+synth command, controller record, designer                     3143    638    153
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py

@@ -265,7 +265,7 @@ def test_linear_controllers_are_the_same_beside_it(tmp_path):
 
 def test_documented_law_is_driven(tmp_path, capsys):
     """The law of its page, as it stands there, is driven and recorded, and agrees."""
-    page = site("A law in Python")
+    page = site("Write a control law in Python")
     (entry,), (text,) = page.blocks("toml"), page.blocks("python")
     (tmp_path / "skyhook.py").write_text(text, encoding="utf-8")
     car = tmp_path / "car.toml"

@@ -119,8 +119,8 @@ def test_forces_are_taken_out_of_accelerations(designer):
 
 
 def test_pages_example():
-    """The controllers of the page on laws with states can be added to the vehicle that ships, and are stable."""
-    block, *_ = site("Controllers with states").blocks("toml")
+    """The controllers at the top of the page on dynamic controllers work in a built-in vehicle, and are stable."""
+    block, *_ = site("Design dynamic controllers").blocks("toml")
     vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n{block}")
     for name in ("best", "lqg", "leaky"):
         assert Designer(vehicle).design(name).certificate.stable
