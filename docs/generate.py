@@ -432,7 +432,7 @@ def log_page() -> str:
 
 def names(package: Any) -> str:
     """Returns the page of a package's public names, for autodoc."""
-    title = f"Public names of {package.__name__}"
+    title = f"Python API: {package.__name__}"
     lines = [f"# {title}", "", first(package), "", "```{eval-rst}"]
     for name in package.__all__:
         value = getattr(package, name)
