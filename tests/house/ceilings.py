@@ -29,7 +29,7 @@ vehicle file, types, equations, MJCF                           4836   1402    30
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
-    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,your-own-vehicle}.md
+    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
 laws and families in files                                      242    330     13
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     153    184      0
@@ -146,7 +146,8 @@ house, pages, benchmarks                                          0   3600    98
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
-    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md
+    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
+    docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
 """
 
 

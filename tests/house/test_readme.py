@@ -179,7 +179,7 @@ def test_a_road_that_gives_no_heights_is_named(height):
 def test_vehicle_file_snippets():
     """The controllers, limits and implementation are accepted in a vehicle file."""
     snippets = [
-        *site("Your own vehicle").blocks("toml"),
+        *section("docs/tutorials/your-own-car.md", "Add a controller").blocks("toml"),
         *site("Limits").blocks("toml"),
     ]
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + "\n".join(snippets))
