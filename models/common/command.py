@@ -37,6 +37,7 @@ def _versions() -> dict[str, str]:
 
 
 ALL = "all"  # in place of a controller's name
+PAGES = {"sim": "docs/which-command.md", "sim.gallery": "docs/explanation/verification.md"}  # of commands without a how-to page
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,7 +47,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         self.module = prog
-        page = f"docs/how-to/{prog.rpartition('.')[2]}.md" if prog != "sim" else "docs/which-command.md"
+        page = PAGES.get(prog, f"docs/how-to/{prog.rpartition('.')[2]}.md")
         super().__init__(
             prog=self._called(f"python -m {prog}"),
             description=_page(description),

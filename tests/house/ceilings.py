@@ -70,7 +70,7 @@ goals, families, trade-off front                               4559   1670    17
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
-    docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
+    docs/how-to/{bands-and-families,goals,many-vehicles,trade-off}.md docs/explanation/how-goals-are-proved.md
 uncertainty: fragility, mu, boxes                              2853    932     55
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
@@ -101,6 +101,7 @@ plant algebra, filters, any plant                              2249   1817    21
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
+    docs/how-to/when-hinfsyn-fails.md
 synth command, controller record, designer                     3143    638    141
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
@@ -117,7 +118,8 @@ page and figures                                               5769   1722     9
 campaigns                                                      3029   1654    141
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               857    405     30
-    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py docs/how-to/gallery.md
+    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
+    docs/explanation/verification.md
 margins in physics                                             2578    876     77
     sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
@@ -144,9 +146,9 @@ commands that drive                                            1151   1043    33
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   3499    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
-    tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
+    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
-    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md
+    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/from-matlab.md
 """
 
 
