@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2366   1738      0
+what all commands share: files, options, checks, tables of numbers   2367   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
 vehicle file, types, equations, MJCF                           4836   1402    308
@@ -75,7 +75,7 @@ uncertainty: fragility, mu, boxes                              2853    932     5
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/errors-by-frequency.md
-sampled data: norm, bound, designs, rates                      2378   1452     61
+sampled data: norm, bound, designs, rates                      2378   1452     64
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
@@ -97,7 +97,7 @@ certificates, norms, lower bounds                              3325   2265     6
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              2249   1817    211
+plant algebra, filters, any plant                              2249   1817    321
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
@@ -117,13 +117,13 @@ page and figures                                               5769   1722     9
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      3029   1654    141
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               857    405     30
+gallery of papers                                               857    405     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2578    876     77
     sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1916    581     30
+frequency, sweep                                               1916    581     37
     sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2268   1123      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
@@ -131,20 +131,20 @@ ride metrics and their expectation                             2268   1123      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                 967    313     35
     sim/envelope.py sim/studies/validity/* sim/command/envelope_options.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2180    867     10
+MuJoCo loop                                                    2180    867     12
     sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
     tests/*/test_{energy,hardware,reality,shares}.py
 linear responses                                               1046    418      0
     sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3133    937     51
+runs, verdict, their text                                      3133    937     60
     sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1151   1043    330
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3499    986
+house, pages, benchmarks                                          0   3556   1139
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
