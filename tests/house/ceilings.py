@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2366   1738      0
+what all commands share: files, options, checks, tables of numbers   2367   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
 vehicle file, types, equations, MJCF                           4836   1402    308
@@ -70,7 +70,7 @@ goals, families, trade-off front                               4559   1670    17
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
-    docs/how-to/{goals,proofs-of-goals,trade-off}.md
+    docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
 uncertainty: fragility, mu, boxes                              2853    932     62
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
@@ -97,10 +97,10 @@ certificates, norms, lower bounds                              3325   2265     6
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              2249   1817    211
+plant algebra, filters, any plant                              2249   1817    321
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
-    docs/how-to/{any-linear-plant,weights}.md
+    docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
 synth command, controller record, designer                     3143    638    153
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
@@ -116,12 +116,13 @@ page and figures                                               5769   1722     9
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      3029   1654    141
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               857    405     30
-    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py docs/how-to/gallery.md
+gallery of papers                                               857    405     49
+    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
+    docs/explanation/verification.md
 margins in physics                                             2578    876     77
     sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1916    581     30
+frequency, sweep                                               1916    581     37
     sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2268   1123      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
@@ -129,13 +130,13 @@ ride metrics and their expectation                             2268   1123      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                 967    313     35
     sim/envelope.py sim/studies/validity/* sim/command/envelope_options.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2180    867     10
+MuJoCo loop                                                    2180    867     12
     sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
     tests/*/test_{energy,hardware,reality,shares}.py
 linear responses                                               1046    418      0
     sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3133    937     51
+runs, verdict, their text                                      3133    937     60
     sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1151   1043    330
@@ -144,7 +145,7 @@ commands that drive                                            1151   1043    33
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   3600    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
-    tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
+    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
     docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
