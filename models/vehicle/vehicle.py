@@ -442,12 +442,11 @@ class Vehicle(ShownVehicle):
         return entry
 
 
-def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
+def read_vehicle(file: str | Path) -> Vehicle:
     """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
 
     Args:
-        file: path or name of the vehicle file.
-        own_kinds: True if it may be of a user's own kind, whose Python is then run.
+        file: its path, or name.
 
     Raises:
         InputError: the file is missing, not TOML, or a key is missing, unknown or not allowed: the message says file and key.
@@ -463,10 +462,6 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     with error_in(f"vehicle file {path}:"):
-        if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
-            raise InputError(
-                f"type = {quoted(name)} is a custom vehicle type, whose Python would be run, and this is not allowed here"
-            )
         whole, files = whole_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
 

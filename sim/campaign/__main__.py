@@ -15,13 +15,17 @@ from sim.command.road_options import add_exported
 from sim.physics import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
+CHECKS = ("runs", "seed")  # options of --verify, and of all else
+RUNS = ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "best", "subject_to", "save", "exported")
+NAMES = {"subject_to": "subject-to", "exported": "as"}
 
 EPILOG = """
-A run fails if its law in Python raises an error, ends the process, or takes more than 10 s a call or 100 times real time. The row
-of the run contains the reason. A campaign continues only if the file of the law is unchanged. --verify runs laws and vehicle
-types in Python only if FILE is given, too. To continue an interrupted campaign, start the same command again.
-exit code: 0 all runs are complete (with --verify: the results are those of the campaign); 1 --verify found a fault, or no
-controller keeps the limits of --subject-to; 2 invalid input, or a full disk; 130 interrupted: finished runs are kept
+A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
+the reason. The campaign goes on with the same file of the law only.
+Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
+exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault, or nothing
+is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted:
+what is done is kept
 
 examples:
   python -m sim.campaign campaign.toml
@@ -41,11 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.verify is None and options.file is None:
         raise InputError("no campaign was named; give a campaign file (TOML), or --verify with a folder of results")
-    for name in ("runs", "seed") if options.verify is None else ():
-        if name in options.given:
-            raise InputError(f"--{name} selects what --verify drives again; give it with --verify, or omit it")
-    if options.verify is not None and options.exported is not None:
-        raise InputError("--verify drives a controller as its campaign did, and finds the code there; omit --as")
+    for name in CHECKS if options.verify is None else RUNS:
+        if name in options.given or (name == "subject_to" and options.subject_to):
+            which = "is for --verify" if name in CHECKS else "is for running a campaign, and --verify checks one"
+            raise InputError(f"--{NAMES.get(name, name)} {which}; leave it out")
     from sim.campaign.command import check_results, run_campaign
 
     return run_campaign(options) if options.verify is None else check_results(options)

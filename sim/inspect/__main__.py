@@ -12,9 +12,7 @@ from typing import Any
 
 from models.common.command import Parser, complain
 from models.common.errors import InputError
-from models.common.printed import Whole, say, wrapped
-
-LISTED = 16  # logs; of more only those are listed that do not prove what they claim
+from models.common.printed import Whole, say
 
 EPILOG = """
 The command runs the logged vehicle again, compares the signals and results, and checks the certificate of the controller.
@@ -40,72 +38,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.outputs import check_outputs
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
-    from sim.inspect.report import proof_lines, proof_object
+    from sim.inspect.report import proof_lines, proof_object, short_line, write_signals
 
-    if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(f"kinds {options.kinds}: there is no such folder; give that of a custom vehicle type (.py and .xml)")
-    if len(options.logs) > 1:
-        if options.csv is not None:
-            raise InputError(
-                f"--csv writes the signals of one log, and {len(options.logs)} are given; give one log, or omit --csv"
-            )
-        return _several(options.logs, options.kinds, options.verbose, options.json)
-    (path,) = options.logs
-    kinds = [file for ending in ("py", "xml") for file in options.kinds.glob(f"*.{ending}")] if options.kinds is not None else []
-    check_outputs({"csv": options.csv}, [path, *kinds], options.json)
-    log = read_log(path)
-    proof = prove(log, options.kinds)
-    if options.csv is not None:
-        from sim.inspect.table import write_signals
-
-        write_signals(options.csv, proof)
-    if options.json:
-        print(json.dumps(proof_object(proof) | {"csv": str(options.csv) if options.csv else None}, allow_nan=False))
-    else:
-        csv = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
-        say([*csv, *proof_lines(proof, options.verbose)])
-    return 0 if proof.holds else 1
-
-
-def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: bool) -> int:
-    """Inspects logs in turn. A file that is not a log gets a message, and the others are inspected.
-
-    Args:
-        full: True for all findings, else a line for each log.
-
-    Returns:
-        The worst exit code.
-    """
-    from sim.inspect.log import read_log
-    from sim.inspect.proof import prove
-    from sim.inspect.report import broken_text, proof_lines, proof_object
-
+    kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
+    if kinds is not None and not kinds.is_dir():
+        raise InputError(f"kinds {kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
+    if options.csv is not None and not alone:
+        raise InputError(f"--csv writes the signals of one log, and {len(paths)} were named; give one, or leave it out")
+    read = [file for ending in ("py", "xml") for file in kinds.glob(f"*.{ending}")] if kinds is not None else []
+    check_outputs({"csv": options.csv}, [*paths, *read], options.json)
     objects: list[dict[str, Any]] = []
     code = 0
     for path in paths:
         try:
             proof = prove(read_log(path), kinds)
-        except InputError as error:
+        except InputError as error:  # the other logs are inspected all the same
+            if alone:
+                raise
             code = 2
             objects.append({"log": str(path), "proves": False, "error": str(error)})
             complain(str(error))
             continue
         code = max(code, 0 if proof.holds else 1)
         objects.append(proof_object(proof))
-        if as_json:
-            continue
-        if full:
-            say([*proof_lines(proof), ""])
-        elif not proof.holds:
-            say([Whole(f"DOES NOT PROVE  {path}"), *wrapped(broken_text(proof), "  ", 4)])
-        elif len(paths) <= LISTED:
-            say([Whole(f"still proves    {path}")])
+        lines = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
+        if options.csv is not None:
+            write_signals(options.csv, proof)
+        if alone or options.verbose:
+            lines += [*proof_lines(proof, options.verbose), *([] if alone else [""])]
+        else:
+            lines += short_line(proof)
+        if not options.json:
+            say(lines)
     hold = sum(one["proves"] for one in objects)
-    if as_json:
-        print(json.dumps({"logs": objects, "proves": hold == len(paths)}, allow_nan=False))
-    else:
+    if options.json:
+        result = objects[0] | {"csv": str(options.csv) if options.csv else None} if alone else {"logs": objects}
+        print(json.dumps(result if alone else result | {"proves": hold == len(paths)}, allow_nan=False))
+    elif not alone:
         said = f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}"
-        say([said] if full else ["-v has every finding", "", said])
+        say([said] if options.verbose else ["-v has every finding", "", said])
     return code
 
 

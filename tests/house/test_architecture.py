@@ -124,6 +124,7 @@ OWNERS = {
     "cloudpickle": {"models/kinds/kind.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
+        "sim/campaign/columns.py",
         "sim/campaign/store.py",
         "sim/campaign/verify.py",
         "sim/recording/rerun_contents.py",

@@ -175,9 +175,9 @@ def share_vehicles() -> None:
     once = functools.cache(original)
 
     @functools.wraps(original)
-    def read(file: str | Path, own_kinds: bool = True) -> Vehicle:
+    def read(file: str | Path) -> Vehicle:
         known = isinstance(file, str) and file in ships and not _patching and not Path(file).is_file()
-        return (once if known else original)(file, own_kinds)
+        return (once if known else original)(file)
 
     for other in list(sys.modules.values()):
         if getattr(other, "__dict__", {}).get("read_vehicle") is original:
