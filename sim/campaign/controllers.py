@@ -109,9 +109,9 @@ def _coded(vehicle: Vehicle, driver: Driver, entry: Mapping[str, Any]) -> Driver
     """Returns a controller, driven by its exported code if the campaign began so; the code is made again."""
     if "code" not in entry:
         return driver
-    from synth.controller.export.compiled import code_again, driven_by
+    from synth.controller.export.compiled import code_again
 
-    return driven_by(driver, code_again(vehicle, driver, entry["code"]))
+    return replace(driver, code=code_again(vehicle, driver, entry["code"]))
 
 
 def check_code(gains: Gains, exported: Path) -> None:

@@ -1,6 +1,6 @@
 """Exported code as a library of this machine: built by its C compiler, or by Zig's of the extra `[export]`, and called by sample.
 
-A controller that is `driven_by` exported code is the same to the analysis; the code gives its outputs in every run.
+A controller with exported code is the same to the analysis; the code gives its outputs in every run.
 """
 
 import ctypes
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import SUFFIX, Controller, Driver
+from synth.controller.controller import SUFFIX, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
@@ -146,38 +145,6 @@ class CompiledStep:
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CompiledController(Controller):
-    """A linear controller whose outputs exported code computes.
-
-    Attributes:
-        code: the code.
-    """
-
-    code: ExportedCode | None = None
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Name, signals, law and code for JSON."""
-        return super().record | ({"code": self.code.record} if self.code is not None else {})
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledSemiActive(SemiActive):
-    """A semi-active controller whose outputs exported code computes.
-
-    Attributes:
-        code: the code.
-    """
-
-    code: ExportedCode | None = None
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Name, signals, law and code for JSON."""
-        return super().record | ({"code": self.code.record} if self.code is not None else {})
-
-
 def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> ExportedCode:
     """Returns the code that a record tells of, made again from a controller.
 
@@ -191,15 +158,3 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
         raise InputError("the ranges of its exported code must be numbers above 0")
     law = exported_law(vehicle, driver, numbers, name, ranges)
     return ExportedCode(law, source_of(law, "0" * 64).files, str(record.get("manifest_sha256")))
-
-
-def driven_by(driver: Driver, code: ExportedCode) -> Driver:
-    """Returns a controller whose outputs this code computes."""
-    kind = CompiledController if isinstance(driver, Controller) else CompiledSemiActive
-    return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
-
-
-def without_code(driver: Driver) -> Driver:
-    """Returns a controller whose outputs exported code computes as it was before: its law computes them."""
-    kind = Controller if isinstance(driver, Controller) else SemiActive
-    return kind(**{one.name: getattr(driver, one.name) for one in fields(kind)})  # pyright: ignore[reportArgumentType]

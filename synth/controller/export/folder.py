@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import SUFFIX, Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
-from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.fixed_source import source_of
 
 VECTORS, SEED = 1000, 20261126
@@ -251,7 +251,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
     code.library  # noqa: B018 - code that cannot be built is refused before the long work
-    return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
+    return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> bool:
