@@ -29,8 +29,8 @@ from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import exported_law
+from synth.controller.export.c_source import CSource
 from synth.controller.export.compiled import ExportedCode
-from synth.controller.export.fixed_source import source_of
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
@@ -49,7 +49,7 @@ actuator_force = 150.0
 def coded(vehicle: Vehicle, driver: Driver, numbers: str, ranges: dict[str, float] | None = None) -> Driver:
     """Returns a controller that its exported code drives."""
     law = exported_law(vehicle, driver, numbers, "law", ranges)
-    return dataclasses.replace(driver, code=ExportedCode(law, source_of(law, "0" * 64).files, numbers))
+    return dataclasses.replace(driver, code=ExportedCode(law, CSource(law, "0" * 64).files, numbers))
 
 
 def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:

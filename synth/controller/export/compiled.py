@@ -22,8 +22,7 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import SUFFIX, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
-from synth.controller.export.c_source import FLAGS
-from synth.controller.export.fixed_source import source_of
+from synth.controller.export.c_source import FLAGS, CSource
 
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
 
@@ -157,4 +156,4 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
     if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
         raise InputError("the ranges of its exported code must be numbers above 0")
     law = exported_law(vehicle, driver, numbers, name, ranges)
-    return ExportedCode(law, source_of(law, "0" * 64).files, str(record.get("manifest_sha256")))
+    return ExportedCode(law, CSource(law, "0" * 64).files, str(record.get("manifest_sha256")))

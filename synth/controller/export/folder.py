@@ -17,9 +17,8 @@ from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import SUFFIX, Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS
+from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import ExportedCode
-from synth.controller.export.fixed_source import source_of
 
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
@@ -52,7 +51,7 @@ def _record_of_ranges(law: ExportedLaw) -> dict[str, Any]:
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
-    source = source_of(law, sha256(record))
+    source = CSource(law, sha256(record))
     texts = {
         **source.files,
         "CMakeLists.txt": source.cmake(),
@@ -84,7 +83,7 @@ def _digits(law: ExportedLaw, value: Any) -> str:
 
 def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
     p, how, tick = law.name, vehicle.implementation, "`"
-    source = source_of(law, "")
+    source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
     rows = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit, meaning in about)
     meaning = "coefficient of the damper" if law.dampers else "force, positive where it pushes body and wheel apart"
