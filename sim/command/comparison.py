@@ -65,11 +65,7 @@ def controllers_of(
     if exported is None:
         return drivers
     from synth.controller.export.folder import as_exported, read_folder
-    from synth.vehicle.designer import Designer
-
-    def driver_of(vehicle: Vehicle, name: str) -> Driver:
-        given = name in vehicle.linear_names
-        return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
+    from synth.vehicle.designer import driver_of
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
 
