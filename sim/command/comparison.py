@@ -243,11 +243,6 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
 
 
-def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[str]]:
-    """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict."""
-    return [_compared_lines(run, None if run is passive else passive) for run in runs]
-
-
 def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str]:
     """Returns a line on each controller's claims, warnings, and the sentences on a run that fails, or is unstable and alone.
 
@@ -342,15 +337,15 @@ def standings_of(
     return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
 
 
-def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
-    """Returns the lines of one run; None for the passive one itself."""
-    table = run_lines(run, passive)
+def compared_lines(run: Run, passive: Run | Reference) -> list[str]:
+    """Returns the lines of a run: its controller, its table beside the passive vehicle unless it is that, and its verdict."""
+    code = run.prediction.code_effect
     return [
         *controller_lines(run.vehicle, run.controller),
-        *(f"  {line}" for line in filter(None, [code_line(run.prediction.code_effect, run.vehicle)])),
+        *(f"  {line}" for line in filter(None, [code_line(code, run.vehicle)])),
         "",
-        *table,
-        *code_table(run.prediction.code_effect, run.vehicle),
+        *run_lines(run, None if run is passive else passive),
+        *code_table(code, run.vehicle),
         "",
         *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
     ]
