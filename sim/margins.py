@@ -10,18 +10,57 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.common.command import one_chosen
+from models.common.command import Parser, one_chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from sim.command.margins_options import late_run, parser
+from sim.studies.stability import TIMESTEP
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
     from sim.studies.stability.margin_search import LoopMargins
     from synth.controller.controller import Controller
+
+
+EPILOG = """
+errors [%]: every reading is off by a factor of its own, between 1 - error and
+1 + error, and of several forces every force, too. Of one force that is an error
+of each entry of its gain. What is proved is true of all such errors; found are
+the worst, along which MuJoCo looks for the edge. An actuator's lag counts.
+
+exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
+
+examples:
+  python -m sim.margins --controller II
+  python -m sim.margins --controller I --picture margins.png --logs logs
+  python -m sim.margins --controller I --vary sprung_mass:0.8:1.2 --vary suspension_damping:0.5:1
+  python -m sim.margins --controller I --vehicle half_car --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.margins",
+        "Finds how much gain, phase, delay and sample period a loop bears, and how large errors of what it reads.",
+        EPILOG,
+    )
+    parser.add_one("state, or one of the vehicle file's")
+    parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME:LOW:HIGH",
+        help="other vehicles: a parameter from LOW to HIGH times the vehicle's own, up to four; by default what the kind says",
+    )
+    parser.add_logs("MuJoCo on either side of the delay margin")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
+    parser.add_printed("each loop, norms with errors, rounded numbers and each other vehicle")
+    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -128,7 +167,7 @@ def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargi
     time, runs = sample_times(vehicle, SHORTEST, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
-        (runs[late_run(controller.name, samples)],) = run_controllers(delayed, [controller], BUMP, time)
+        (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], BUMP, time)
     return runs
 
 

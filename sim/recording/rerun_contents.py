@@ -86,8 +86,8 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs all that is plotted: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a tint of the run's colour; MuJoCo minus sampled, over each signal's peak, at
-    `difference/<group>`; loads over time are at `acting/loads/<load>`, and diagrams at `acting/diagrams/<force>`.
+    A response is at `signals/<signal>/<response>`, in a tint of the run's colour; MuJoCo minus sampled, over each signal's peak,
+    at `difference/<group>`; loads over time are at `acting/loads/<load>`, and diagrams at `acting/diagrams/<force>`.
     """
     for name, response in run.responses.items():
         label, white, width = look(name)
