@@ -147,11 +147,8 @@ class CSource:
         """Prepares a law, with the SHA-256 of its certificate's file."""
         self.law, self.certificate, self.p, self.fixed = law, certificate, law.name, law.fixed
         self.ctype, self.total, self.in_units, self.out_units = law.numbers, law.numbers, law.units, law.output_units
-        self.tables = {"A": law.A, "B": law.B, "C": law.C, "D": None if law.semi_active else law.D, "L": law.anti_windup}
         if (of := law.fixed) is not None:
-            self.ctype, self.total, m, q, k = f"{law.numbers}_t", "int64_t", len(law.outputs), law.readings, law.states
-            self.tables |= {"A": of.rows[m:, q : q + k], "B": of.rows[m:, :q], "C": of.rows[:m, q : q + k], "D": of.rows[:m, :q]}
-            self.tables["L"] = None if law.anti_windup is None else of.rows[m:, q + k :]
+            self.ctype, self.total = f"{law.numbers}_t", "int64_t"
             self.in_units, self.out_units = (
                 tuple(f"{unit}, in steps of {scale!r}" for unit, scale in zip(units, scales.tolist(), strict=True))
                 for units, scales in ((law.units, of.seen), (law.output_units, of.given))
@@ -202,7 +199,8 @@ class CSource:
     def data(self) -> str:
         """Returns NAME_data.h."""
         law, p, guard = self.law, self.p, f"{self.p.upper()}_DATA_H"
-        text = "\n".join(self._table(name, one) for name, one in self.tables.items() if one is not None and one.size)
+        tables = {} if law.semi_active else law.tables
+        text = "\n".join(self._table(name, one) for name, one in tables.items() if one.size)
         if law.dampers:
             dampers = self._table("dampers", np.array(law.dampers))
             text += f"\n/* nominal, least and largest coefficient beyond it [N s/m] */\n{dampers}"

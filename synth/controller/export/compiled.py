@@ -20,8 +20,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import SUFFIX, Driver
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
+from synth.controller.controller import Driver
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
@@ -148,12 +148,7 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
     """Returns the code that a record tells of, made again from a controller.
 
     Raises:
-        InputError: the record tells of no code that this controller can have.
+        InputError: this controller has no such code.
     """
-    numbers, name, ranges = record.get("numbers"), record.get("name"), record.get("ranges")
-    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
-        raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
-    if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
-        raise InputError("the ranges of its exported code must be numbers above 0")
-    law = exported_law(vehicle, driver, numbers, name, ranges)
-    return ExportedCode(law, CSource(law, "0" * 64).files, str(record.get("manifest_sha256")))
+    law = exported_law(vehicle, driver, record["numbers"], record["name"], record["ranges"])
+    return ExportedCode(law, CSource(law, "0" * 64).files, record["manifest_sha256"])

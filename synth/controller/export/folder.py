@@ -31,21 +31,18 @@ def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str,
     """Returns what certificate.json holds: the law, its tables as they are run, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law, name) for name in TABLES}
-    return {
+    found: dict[str, Any] = {
         "name": law.name,
         "numbers": law.numbers,
         "controller": driver.record,
         "sample_period": law.period,
         "tables": {name: None if table is None else table.tolist() for name, table in tables.items()},
         "claims": None if claims is None else dict(claims),
-    } | _record_of_ranges(law)
-
-
-def _record_of_ranges(law: ExportedLaw) -> dict[str, Any]:
-    if law.ranges is None:
-        return {}
-    ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
-    return {"ranges": ranges, "range_sources": dict(zip(law.inputs, law.range_sources, strict=True))}
+    }
+    if law.ranges is not None:
+        found["ranges"] = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        found["range_sources"] = dict(zip(law.inputs, law.range_sources, strict=True))
+    return found
 
 
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
