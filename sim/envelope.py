@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not controller.certificate.stable:
             lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
         ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", *ends, "", *envelope_lines(cells, options.threshold)])
+        say([*lines, *written_lines(outputs), *log_lines([logs]), "", *ends, "", *envelope_lines(cells, options.threshold)])
     return 0 if cells.as_predicted else 1
 
 

@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
         lines += margins_lines(vehicle, controller, margins, fragile, box, options.verbose)
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(margins, fragile, box)])
+        say([*lines, *written_lines(outputs), *log_lines([logs]), "", verdict(margins, fragile, box)])
     agrees = fragile.agrees and all(one.agrees for one in margins.values())
     return 0 if agrees and (box is None or box.holds) else 1
 

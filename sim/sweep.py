@@ -141,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             [
                 *lines,
                 *written_lines(outputs),
-                *log_lines(logs),
+                *log_lines([logs]),
                 *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
                 "",
                 *summary_lines(sweeps),

@@ -163,28 +163,21 @@ def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str
     return outputs
 
 
-def all_log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool, runs: Sequence[Run]) -> list[str]:
-    """Returns the lines of `log_lines` for one log, and a single line on several."""
-    each = [log_lines(one, brief, runs) for one in logs]
-    if len(each) == 1 or brief or not any(each):
-        return [line for lines in each for line in lines]
-    folder = next(Path(path).parent for one in logs for path in one.values() if path)
-    return [Whole(f"  a log for each vehicle: {pasted_path(folder)}")]
-
-
-def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
-    """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
+def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
+    """Returns lines with the recorded files and how to open them, or a line on several logs; empty if nothing was recorded.
 
     Args:
         brief: True for no lines.
         runs: recorded runs; of more than `FEW` nothing is said but the files.
     """
-    paths = {name: Path(path) for name, path in logs.items() if path}
-    if not paths or brief:
+    paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
+    if brief or not any(paths):
         return []
     from sim.recording.files import opening_lines
 
-    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths)]
+    if len(paths) > 1:
+        return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
+    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
 
 
 def check_view(options: argparse.Namespace) -> None:

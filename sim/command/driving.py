@@ -201,7 +201,7 @@ def drive(
         lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
         part = interval is not None and (interval.start > 0 or interval.samples[1] is not None)
         lines += comparison.stop_lines(shown, options.verbose or several, part)  # several have their travel in per cent
-        lines += [*written_lines(outputs), *comparison.all_log_lines(logs, options.brief, shown)]
+        lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         say([*lines, "", *summary_lines(shown, several)])
     for one in logs:
         comparison.view(options, one)

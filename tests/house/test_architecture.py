@@ -110,6 +110,7 @@ OWNERS = {
         "sim/physics/stepping.py",
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
+        "sim/recording/scene.py",
     },
     "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/log.py"},
     "mcap_protobuf": {"sim/recording/mcap_writer.py"},

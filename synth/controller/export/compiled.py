@@ -68,21 +68,12 @@ class ExportedCode:
             ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
         return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
 
-    @functools.cached_property
-    def library(self) -> ctypes.PyDLL:
-        """The compiled code, built and loaded when first used.
+    def start(self) -> "CompiledStep":
+        """Returns the code at its start, built when it is first used.
 
         Raises:
             InputError: there is no compiler, or it refuses the code.
         """
-        return _library(self.law.name, tuple(self.texts.items()))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leaves the library behind: another process builds its own."""
-        return ExportedCode, (self.law, self.texts, self.sha256)
-
-    def start(self) -> "CompiledStep":
-        """Returns the code at its start."""
         return CompiledStep(self)
 
 
@@ -119,8 +110,9 @@ class CompiledStep:
         self.seen, self.given = np.zeros(len(law.inputs), number), np.zeros(len(law.outputs), number)
         self.x: Array = self.state[: law.states * np.dtype(number).itemsize].view(number)
         state, seen, given = (ctypes.c_void_p(one.ctypes.data) for one in (self.state, self.seen, self.given))
-        code.library[f"{law.name}_init"](state)
-        step = code.library[f"{law.name}_step"]
+        library = _library(law.name, tuple(code.texts.items()))
+        library[f"{law.name}_init"](state)
+        step = library[f"{law.name}_step"]
         step.restype = None
         self.step = functools.partial(step, state, seen, given)
         self.fixed = law.fixed

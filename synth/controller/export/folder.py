@@ -246,7 +246,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
         raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.library  # noqa: B018 - code that cannot be built is refused before the long work
+    code.start()  # code that cannot be built is refused before the long work
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
