@@ -39,7 +39,7 @@ laws in Python                                                  598    694    14
     docs/how-to/any-controller.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    121
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/your-own-kind.md
-semi-active dampers and laws                                   1581   1028    128
+semi-active dampers and laws                                   1584   1028    128
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_{dampers,laws_held,measured_dampers}.py tests/*/test_semi_active*.py
@@ -101,7 +101,7 @@ plant algebra, filters, any plant                              2249   1817    21
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
-synth command, controller record, designer                     3143    638    141
+synth command, controller record, designer                     3149    638    141
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
@@ -140,9 +140,8 @@ runs, verdict, their text                                      3133    937     5
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1151   1043    330
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
-    sim/command/{__init__,comparison,drive_options,driving,road_options}.py
-    docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3499    986
+    sim/command/{__init__,comparison,driv*,road_options}.py docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
+house, pages, benchmarks                                          0   3500    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
     tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
