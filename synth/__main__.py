@@ -36,10 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
         complain(doubt)
     if options.export is not None:
-        from synth.command.export_file import SUFFIXES, export_file
-
-        if options.export.suffix.lower() in SUFFIXES:
-            return export_file(vehicle, options)
         from synth.command.export import export
 
         return export(vehicle, options)

@@ -233,10 +233,12 @@ class SemiActive:
     Attributes:
         name: name in the vehicle file.
         law: the law.
+        code: the exported code that computes its outputs in runs; None if its own law does.
     """
 
     name: str
     law: SemiActiveLaw
+    code: Any = None
 
     @property
     def kind(self) -> str:
@@ -260,8 +262,9 @@ class SemiActive:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as in JSON."""
-        return {"name": self.name, "measured": list(self.measured), **self.law.record}
+        """Name, signals, law and code as JSON has them."""
+        code = {"code": self.code.record} if self.code is not None else {}
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 
 
 def read_semi_active(

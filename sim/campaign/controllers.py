@@ -79,10 +79,26 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> Driver
     return driver
 
 
-def _drawn(designer: Designer, name: str, values: Values) -> Driver:
-    """Returns a controller with drawn values of its law."""
-    entry = drawn_entry(designer.vehicle, name, values)
-    return entry.driver() if entry.law is None else designer.certify(name, entry.measured, entry.law, entry.hardware)
+def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
+    """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`."""
+    try:
+        found = designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
+        if not isinstance(entry.get("preview"), dict):
+            return found
+        from models.laws.preview import preview_of
+
+        return replace(found, preview=preview_of(entry))
+    except (KeyError, ValueError) as error:
+        raise _strange(error) from error
+
+
+def _coded(vehicle: Vehicle, driver: Driver, entry: Mapping[str, Any]) -> Driver:
+    """Returns a controller, driven by its exported code if the campaign began so; the code is made again."""
+    if "code" not in entry:
+        return driver
+    from synth.controller.export.compiled import code_again
+
+    return replace(driver, code=code_again(vehicle, driver, entry["code"]))
 
 
 def check_code(gains: Gains, exported: Path) -> None:

@@ -77,9 +77,9 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     controller = _recorded_law(log, vehicle, run)
     if "code" not in run.claims:
         return controller
-    from synth.controller.export.compiled import code_again, driven_by
+    from synth.controller.export.compiled import code_again
 
-    return driven_by(controller, code_again(vehicle, controller, run.claim("code")))
+    return replace(controller, code=code_again(vehicle, controller, run.claim("code")))
 
 
 def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from models.common.arrays import Array
@@ -10,14 +11,9 @@ from models.common.arrays import Array
 
 def rotation_matrix(quaternion: Array) -> Array:
     """Returns the rotation of a quaternion (w, x, y, z), of any length but 0, as a matrix, shape (3, 3)."""
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion[[1, 2, 3, 0]])).tolist()
-    return np.array(
-        [
-            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
-        ]
-    )
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))  # pyright: ignore[reportAttributeAccessIssue] - no stubs
+    return matrix.reshape(3, 3)
 
 
 @dataclass(frozen=True, eq=False)

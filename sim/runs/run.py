@@ -312,9 +312,7 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: Sequence[Resp
     coded = [i for i, one in enumerate(predictions) if code_of(one.controller) is not None]
     if not coded:
         return predictions
-    from synth.controller.export.compiled import without_code
-
-    ours = [replace(predictions[i], controller=without_code(predictions[i].controller)) for i in coded]
+    ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
     made = simulate([one.controller for one in ours], [one.input for one in ours])
     runs, forces = [made.run(k) for k in range(len(ours))], made.requested_force
     ours = [
@@ -419,9 +417,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
     if not isinstance(prediction.controller, Programmed):
         if share == 1 or code_of(prediction.controller) is None:
             return prediction.controller
-        from synth.controller.export.compiled import without_code
-
-        return without_code(prediction.controller)
+        return replace(prediction.controller, code=None)
     steps = round(prediction.timestep / float(time[1]))
     from sim.linear.dampers import scaled_commands
     from sim.physics.drivers import RecordedForces

@@ -51,7 +51,8 @@ class Controller(Checked, Shown):
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
         specifications: specifications of its design or evaluation, in addition to the least norm.
-        preview: force from the road ahead, in addition to that of the law; None without preview.
+        preview: its force from the road ahead, in addition to that of its law; None without.
+        code: the `ExportedCode` that computes its outputs in runs; None if its own law does.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Controller(Checked, Shown):
     sampled: bool = False
     specifications: "tuple[Specification, ...]" = ()
     preview: "RoadPreview | None" = None
+    code: Any = None
 
     @property
     def kind(self) -> str:
@@ -99,9 +101,10 @@ class Controller(Checked, Shown):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns name, signals and law as a JSON object."""
-        ahead = {"preview": self.preview.record} if self.preview is not None else {}
-        return {"name": self.name, "measured": list(self.measured), **self.law.record, **ahead}
+        """Returns name, signals, law and code as a JSON object."""
+        more = {"preview": self.preview, "code": self.code}
+        parts = {name: part.record for name, part in more.items() if part is not None}
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, **parts}
 
     @property
     def text(self) -> str:

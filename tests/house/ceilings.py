@@ -120,16 +120,16 @@ gallery of papers                                               857    405     4
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2578    876     77
-    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
+    sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1916    581     37
-    sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
+    sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2268   1123      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                 967    313     35
-    sim/envelope.py sim/studies/validity/* sim/command/envelope_options.py tests/sim/test_envelope.py docs/how-to/envelope.md
+    sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    2180    867     12
     sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
     tests/*/test_{energy,hardware,reality,shares}.py
@@ -141,7 +141,7 @@ runs, verdict, their text                                      3133    937     6
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1151   1043    330
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
-    sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
+    sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   3600    986
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
