@@ -2,8 +2,7 @@
 
 With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u' its extension rate, a damper gives -c v.
 A law requests c; the damper clips it to its limits and holds it until the next sample. If a law requests a force F of the whole
-damper, as of a damper between body and sky, then c = -F / v. All functions take N runs side by side with m suspensions, or one
-suspension of one run in plain numbers: there, a single call of numpy costs a tenth of a time step.
+damper, as of a damper between body and sky, then c = -F / v. All functions take N runs side by side with m suspensions.
 
 Source of the names, and of the laws without a source of their own: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard,
 Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
@@ -11,7 +10,6 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -58,10 +56,6 @@ class LawCoefficients:
     def subset(self, which: Array | slice) -> "LawCoefficients":
         """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
-
-    def alone(self, j: int) -> "LawCoefficients":
-        """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
-        return self._of_each(lambda quantity: float(quantity[0, j]))
 
     def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
         """Returns the coefficients with a function applied to each quantity."""
@@ -210,20 +204,6 @@ class SemiActiveLaw:
         modes = (y[..., at : at + 1] for at in range(first))
         corners = (y[..., at : at + m] for at in range(first, len(self.measured), m))
         return LAWS[self.name][0](of, *modes, *corners)
-
-    def alone(self, of: LawCoefficients, places: Sequence[int]) -> Callable[[Sequence[float]], list[float]]:
-        """Returns a function from a list of numbers to the m requested coefficients of the first vehicle, in plain numbers.
-
-        Args:
-            places: indices of the q measurements in that list.
-        """
-        law, first, m = LAWS[self.name][0], len(self.modes), len(self.endings)
-        corners = [(itemgetter(*places[:first], *places[first + j :: m]), of.alone(j)) for j in range(m)]
-
-        def coefficients(seen: Sequence[float]) -> list[float]:
-            return [law(numbers, *mine(seen)) for mine, numbers in corners]
-
-        return coefficients
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.linear.dampers import is_linear
 from sim.linear.sampled_response import readings_of_loads
-from sim.physics.drivers import preview_forces
+from sim.physics.driver import preview_forces
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch

@@ -30,7 +30,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: a controller cannot be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
@@ -46,7 +46,7 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
     """Returns the runs with the controllers that a campaign began with, and with its drawn laws. No law in Python is run.
 
     Args:
-        gains: gains in the campaign's folder.
+        gains: as its folder has them.
 
     Raises:
         InputError: the file of a law cannot be read, or is not as it was.
@@ -70,42 +70,26 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> Driver
     else:
         driver = vehicle.controllers[name].driver()
     if "code" in entry:
-        from synth.controller.export.compiled import code_again, driven_by
+        from synth.controller.export.compiled import code_again
 
-        driver = driven_by(driver, code_again(vehicle, driver, entry["code"]))
+        driver = replace(driver, code=code_again(vehicle, driver, entry["code"]))
     if not linear and gains_of({"": {name: driver}})[""][name] != entry:
         file = entry.get("law", entry.get("fmu"))
         raise InputError(f"controller {name!r}: its law {file} has changed since the campaign began; restore it, or {ELSEWHERE}")
     return driver
 
 
-def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
-    """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`."""
-    try:
-        found = designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
-        if not isinstance(entry.get("preview"), dict):
-            return found
-        from models.laws.preview import preview_of
-
-        return replace(found, preview=preview_of(entry))
-    except (KeyError, ValueError) as error:
-        raise _strange(error) from error
-
-
-def _coded(vehicle: Vehicle, driver: Driver, entry: Mapping[str, Any]) -> Driver:
-    """Returns a controller, driven by its exported code if the campaign began so; the code is made again."""
-    if "code" not in entry:
-        return driver
-    from synth.controller.export.compiled import code_again
-
-    return replace(driver, code=code_again(vehicle, driver, entry["code"]))
+def _drawn(designer: Designer, name: str, values: Values) -> Driver:
+    """Returns a controller with drawn values of its law."""
+    entry = drawn_entry(designer.vehicle, name, values)
+    return entry.driver() if entry.law is None else designer.certify(name, entry.measured, entry.law, entry.hardware)
 
 
 def check_code(gains: Gains, exported: Path) -> None:
     """Refuses the code of a folder with which a campaign did not begin.
 
     Raises:
-        InputError: the code differs, or the campaign began without code.
+        InputError: it is other code, or the campaign began without any.
     """
     from synth.controller.export.folder import MANIFEST
 

@@ -1,6 +1,6 @@
-"""Exported code in the loop: it reads the signals and sets the actuators of runs, and computes everything in between.
+"""Driver that runs exported code: it reads the signals, sets the actuators, and computes everything in between.
 
-Quantisation, delay, limits and anti-windup of the controller are in the code, and not here. Noise is of the sensors, and is here.
+Quantisation, delay, limits and anti-windup of the controller are in the code. Sensor noise is added before the code reads.
 """
 
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.semi_active import SemiActive
-from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics import drivers
+from sim.physics.actuators import closing_names
+from sim.physics.driver import Request, RunDriver, SemiActiveDriver
 from synth.controller.controller import Controller, code_of
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
@@ -20,98 +20,78 @@ from synth.controller.export.folder import is_law_of
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
 
 
-class CodeInTheLoop:
-    """Exported code that drives N runs, as a `sim.physics.stepping.Setting`.
+class CodeDriver:
+    """Exported code of N runs, each with a state of its own.
 
-    It is given the measured signals, then with adjustable dampers the suspensions' closing velocities. The first m commands of a
-    sample are those of the code. What it cannot tell, forces beyond its limits and forces that dampers do not give, are computed
-    by our own law from the same readings and the code's own states.
+    The code gives commands. The forces that its limits and the dampers cut off are computed by our own law, from the same
+    measurements and the code's states, so that they are recorded like those of the law.
     """
 
-    def __init__(
-        self,
-        controllers: Sequence["drivers.RunDriver"],
-        vehicles: Sequence[Vehicle],
-        timestep: float,
-        dampers: "drivers.Dampers | None",
-    ) -> None:
-        """Starts the code of N controllers, each of its own vehicle.
+    ahead = 0
+    requests: Request = "commands"
 
-        Args:
-            timestep: timestep of the runs [s].
-            dampers: adjustable dampers of the vehicles, or None.
+    def __init__(self, controllers: Sequence[RunDriver | None]) -> None:
+        """Takes N controllers with the same code, of their own vehicles."""
+        self._controllers = controllers
+        self._codes: list[ExportedCode] = [code_of(one) for one in controllers]
+        self._law, semi_active = self._codes[0].law, [one for one in controllers if isinstance(one, SemiActive)]
+        self._semi_active = SemiActiveDriver(semi_active) if semi_active else None
+        self.measured = self._law.inputs[: self._law.readings]
+
+    def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
+        """See `sim.physics.driver.Driver.start`.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.
         """
-        self._codes = [_checked(one, vehicle) for one, vehicle in zip(controllers, vehicles, strict=True)]
-        self._law, self._dampers = self._codes[0].law, dampers
-        self._steps = [code.start() for code in self._codes]
-        self._held, self._k = steps_per_sample(vehicles[0].implementation, timestep), 0
-        self.actuators, q = len(self._law.outputs), self._law.readings
-        self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * self.actuators for code in self._codes])
-        self._sign = None if dampers is None else np.repeat([1.0, -1.0], [q, len(self._law.inputs) - q])
-        self.flat = False
-        self._given, self._used = list[Array](), list[Array]()
-        self._last = np.zeros(0), np.zeros(0)
-        self.kept = np.zeros((0, len(self._codes), self._law.states))  # states at the samples of the last block
-        self._semi_active = None
-        if dampers is not None and (laws := [one for one in controllers if isinstance(one, SemiActive)]):
-            self._semi_active = drivers.SemiActiveLaws(laws, dampers)
-        late = self._law.delay * self._held
-        self._late = np.zeros((late, len(controllers), self.actuators * (1 if dampers is None else 2)))
+        law, q, first = self._law, self._law.readings, vehicles[0]
+        for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):
+            assert isinstance(one, (Controller, SemiActive)), "other controllers have no exported code"
+            if not is_law_of(code.law, vehicle, one):
+                raise InputError(
+                    f"exported code drives controller {one.name!r} as it was exported alone, and this run changes its law or its "
+                    "implementation; leave out --as"
+                )
+        self._steps, self._range = [code.start() for code in self._codes], None
+        self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * len(law.outputs) for code in self._codes])
+        if first.dampers:
+            from models.suspension.damper_range import range_of
 
-    def set(self, seen: Array, acting: Array) -> None:
-        """See `sim.physics.stepping.Setting`."""
-        if self._k == 0:
-            pairs = [self._sample(i, row) for i, row in enumerate(seen)]
-            self._last = np.stack([one for one, _ in pairs]), np.stack([one for _, one in pairs])
-        self._given.append(self._last[0])
-        self._used.append(self._last[1])
-        acting[...] = self._last[0]
-        self._k = (self._k + 1) % self._held
-
-    def _sample(self, i: int, seen: Array) -> tuple[Array, Array]:
-        """Returns the commands of a run from its signals, and the states at the sample."""
-        step = self._steps[i]
-        step.read(seen if self._sign is None else seen[: len(self._sign)] * self._sign)
-        used = step.states
-        step.step()
-        return step.forces - self._nominal[i], used
-
-    def commands(self, seen: Array) -> Array:
-        """See `sim.physics.stepping.Setting`: of the samples since the last call."""
-        law, given, self.kept = self._law, np.array(self._given), np.array(self._used)
-        self._given.clear()
-        self._used.clear()
-        if self._dampers is None and law.limit is None:
-            return given
-        y, closing = seen[..., : law.readings], seen[..., law.readings :]
-        step = np.where(law.resolution > 0, law.resolution, 1.0)
-        y = np.where(law.resolution > 0, step * np.round(y / step), y)
+            self.measured = (*self.measured, *closing_names(first))
+            self._range = range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
+        self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code reads velocities of extension
         if self._semi_active is not None:
-            ours = self._semi_active.commands(np.concatenate([y, closing], axis=-1))
-        else:
-            ours = y @ law.D.T + self.kept @ law.C.T
-            if self._dampers is not None:
-                ours = self._dampers.of.commands(np.concatenate([ours, closing], axis=-1))
-        whole = np.concatenate([self._late, ours])
-        ours, self._late = whole[: len(seen)], whole[len(seen) :]
-        if self._dampers is None:
-            most = law.limit if law.fixed is None or law.fixed.limit is None else law.fixed.limit * law.fixed.given
-            assert most is not None, "else nothing is clipped"
-            return np.where(np.abs(given) >= NEARLY * most, ours, given)
-        return np.concatenate([given, ours[..., self.actuators :]], axis=-1)
+            self._semi_active.start(vehicles, timestep)
+        size = len(law.outputs) * (1 if self._range is None else 2)
+        self._late = [np.zeros((len(vehicles), size))] * law.delay  # commands of our law that are not due yet
+        return np.zeros((len(vehicles), law.states))
 
+    def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
+        """See `sim.physics.driver.Driver.step`."""
+        given, after = np.empty_like(self._nominal), np.empty_like(state)
+        for i, step in enumerate(self._steps):
+            step.read(y[i, : len(self._sign)] * self._sign)
+            step.step()
+            given[i], after[i] = step.forces, step.states
+        given -= self._nominal
+        law, m = self._law, given.shape[1]
+        if self._range is None and law.limit is None:
+            return given, after
+        self._late.append(self._ours(y, state))
+        ours = self._late.pop(0)
+        if self._range is not None:
+            return np.concatenate([given, ours[:, m:]], axis=1), after
+        most = law.limit if law.fixed is None or law.fixed.limit is None else law.fixed.limit * law.fixed.given
+        assert most is not None, "a law without a limit has returned"
+        return np.where(np.abs(given) >= NEARLY * most, ours, given), after
 
-def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
-    """Returns the code of a controller, if it is of the law and implementation of its run."""
-    code = code_of(driver)
-    assert code is not None, "exported code drives all of these runs"
-    assert isinstance(driver, (Controller, SemiActive)), "and it is of such a law"
-    if not is_law_of(code.law, vehicle, driver):
-        raise InputError(
-            f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "
-            "implementation; omit --as"
-        )
-    return code
+    def _ours(self, y: Array, state: Array) -> Array:
+        """Returns the commands of our law, shape (N, m) or (N, 2 m), from measurements and the code's states."""
+        law, q = self._law, self._law.readings
+        step = np.where(law.resolution > 0, law.resolution, 1.0)
+        seen, closing = np.where(law.resolution > 0, step * np.round(y[:, :q] / step), y[:, :q]), y[:, q:]
+        if self._semi_active is not None and self._range is not None:
+            requested, _ = self._semi_active.step(0, seen, None, state)
+            return self._range.clip_coefficients(requested - self._nominal, closing)
+        forces = seen @ law.D.T + state @ law.C.T
+        return forces if self._range is None else self._range.commands(np.concatenate([forces, closing], axis=1))

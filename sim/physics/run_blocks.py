@@ -1,9 +1,10 @@
-"""N runs in MuJoCo, in blocks of samples: readings, commands, and recorded signals."""
+"""N runs in MuJoCo, in blocks of samples: measurements, commands, steps, and recorded signals."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,30 +13,27 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics import RUNS_AT_ONCE, drivers
-from sim.physics.sensor_readout import (
-    AntiWindup,
-    Laws,
-    LinearLaws,
-    Readout,
-    Sampler,
-    anti_windup_on,
-    force_from_road,
-    laws_on,
-    measured_by,
-    measurement_noise,
-    mix,
-    prepared,
-    sensed_stage,
-    signal_from_road,
+from sim.physics import RUNS_AT_ONCE
+from sim.physics.actuators import Actuators
+from sim.physics.computer import Computer
+from sim.physics.driver import (
+    Driver,
+    Failure,
+    LinearDriver,
+    PythonDriver,
+    RecordedDriver,
+    RecordedForces,
+    RunDriver,
+    SemiActiveDriver,
+    implementation_around,
+    preview_forces,
 )
-from sim.physics.stepping import Alone, Push, Reading, step_batch
+from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
@@ -54,8 +52,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
         overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
-        requested_force: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
-            (B, N, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`.
+        requested_force: commands of the actuators, see `sim.physics.actuators`, shape (B, N, m) or (B, N, 2 m).
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
     """
 
@@ -105,10 +102,10 @@ class BatchInputs:
 
     Attributes:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
-        controllers: N controllers, all linear, all in Python, all semi-active, or all played.
+        controllers: N controllers, or known commands.
         now: road heights at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
-        timestep: timestep of the physics [s].
+        timestep: [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
         going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
@@ -116,14 +113,12 @@ class BatchInputs:
         beyond: road heights at the samples after the last [m], shape (E, N, r), for controllers that preview them, or None.
         failures: failures of laws in Python by run, for the caller to read: such a run continues without forces. None to raise
             the first failure.
-        accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
-            are those of the sample before, which saves an evaluation.
         held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
             (T, N, l + r); None if there are none.
     """
 
     vehicles: Sequence[Vehicle]
-    controllers: Sequence[drivers.RunDriver]
+    controllers: Sequence[RunDriver]
     now: Array
     midway: Array
     timestep: float
@@ -131,8 +126,7 @@ class BatchInputs:
     undelayed: Sequence[Controller | None] | None = None
     going: Array | None = None
     beyond: Array | None = None
-    failures: dict[int, drivers.Failure] | None = None
-    accelerations: bool = True
+    failures: dict[int, Failure] | None = None
     held: Array | None = None
 
 
@@ -145,177 +139,264 @@ def in_blocks(course: BatchInputs) -> Iterator[Block]:
 def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
-    The numbers of a run are bit for bit independent of other runs of its controller, of shares, and of blocks: sums over a
+    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
     run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
     are.
 
     Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
     on a busy machine for each other.
     """
-    vehicles, controllers, timestep, edges = course.vehicles, course.controllers, course.timestep, course.edges
-    now, midway, undelayed, going = course.now, course.midway, course.undelayed, course.going
-    vehicle = vehicles[0]
-    model, readout = prepared(vehicle, timestep)
-    distinct = {id(other): other for other in vehicles}
-    hardware = {
-        key: (*other.parameters.values(), *other.curves.values(), other.limits, *other.dampers.values())
-        for key, other in distinct.items()
-    }
-    one_of = {hardware[key]: other for key, other in distinct.items()}
-    models = {}
-    if len(one_of) > 1:
-        models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-    before = np.concatenate([np.zeros_like(now[:1]), midway[:-1]])  # road heights at the end of the last step
+    loop = _Loop(course)
+    return [functools.partial(_quietly, loop, runs) for runs in shares]
 
-    # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road that
-    # the reading lacks is added.
-    coded = code_of(controllers[0]) is not None
-    linear = [one if isinstance(one, Controller) and not coded else None for one in controllers]
-    others = [one for one in controllers if not isinstance(one, Controller)]
-    semi_active = [one for one in others if isinstance(one, SemiActive)]
-    ways = [other.implementation for other in distinct.values()]
-    ideal = undelayed is None and all(one.ideal for one in ways)
-    if coded or (semi_active and ideal):
-        K, memory = measured_by(readout.names, [one.measured for one in controllers])
-    else:
-        K, memory = laws_on(readout.names, vehicles, linear, timestep)
-    beside, beside_memory = np.zeros((1, 1, len(readout.names))), np.zeros(0)
-    if undelayed is not None:
-        beside, beside_memory = laws_on(
-            readout.names, [replace(one, implementation=Implementation()) for one in vehicles], undelayed, timestep
+
+def _quietly(loop: "_Loop", runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
+    """Yields the blocks of some runs without warnings of MuJoCo or numpy."""
+    blocks = loop.blocks(runs, stopped)
+    with quiet():
+        while True:
+            with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
+                block = next(blocks, None)
+            if block is None:
+                return
+            yield block
+
+
+class _Loop:
+    """The simulation loop: read, compute, apply, move the road, step."""
+
+    def __init__(self, course: BatchInputs) -> None:
+        """Prepares what all shares of the runs have in common."""
+        self.course, self.vehicles = course, course.vehicles
+        first, timestep = self.vehicles[0], course.timestep
+        self.model, self.readout = prepared(first, timestep)
+        distinct = {id(other): other for other in self.vehicles}
+        self.hardware = {
+            key: (*other.parameters.values(), *other.curves.values(), other.limits, *other.dampers.values())
+            for key, other in distinct.items()
+        }
+        one_of = {self.hardware[key]: other for key, other in distinct.items()}
+        self.models = {}
+        if len(one_of) > 1:
+            self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
+        now, beyond = course.now, course.beyond
+        self.heights = now if beyond is None or not len(beyond) else np.concatenate([now, beyond])
+        # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
+        # that the reading lacks is added.
+        readout = self.readout
+        named = {name for one in (*course.controllers, *(course.undelayed or ())) if one is not None for name in one.measured}
+        self.seen = [i for i, name in enumerate(readout.names) if name in named]
+        self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))
+        of_sensors = [i for i in self.seen if not readout.linear[i]]
+        self.sensors = _span(readout.of_sensors[of_sensors]) if self.stage else slice(0, 0)
+        # An acceleration is read in a separate evaluation, with the present road and the force that has acted until now.
+        self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+
+    def _computers(self, runs: slice, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
+        """Returns the started computers of some of the runs, and those of their second controllers without implementation."""
+        course, vehicles = self.course, self.vehicles[runs]
+        how = [implementation_around(*one) for one in zip(course.controllers[runs], vehicles, strict=True)]
+        numbers = range(len(self.vehicles))[runs]
+        first = self._group(course.controllers[runs], vehicles, how, runs, actuators, numbers)
+        if course.undelayed is None:
+            return first, []
+        ideal = [replace(vehicle, implementation=Implementation()) for vehicle in vehicles]
+        return first, self._group(course.undelayed[runs], ideal, [Implementation()] * len(ideal), runs, actuators, numbers)
+
+    def _group(
+        self,
+        controllers: Sequence[RunDriver | None],
+        vehicles: Sequence[Vehicle],
+        how: Sequence[Implementation],
+        share: slice,
+        actuators: Actuators,
+        numbers: Sequence[int],
+    ) -> list[Computer]:
+        """Returns the started computers of some runs: one per kind of driver and sample period."""
+        course, timestep = self.course, self.course.timestep
+        groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
+        for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
+            if one is not None:
+                groups.setdefault((_kind(one), steps_per_sample(implementation, timestep)), []).append(i)
+        computers = []
+        for (_, steps), some in groups.items():
+            mine, cars, around = [controllers[i] for i in some], [vehicles[i] for i in some], [how[i] for i in some]
+            heights = self.heights[:, share][:, some]
+            driver: Driver
+            if code_of(mine[0]) is not None:
+                from sim.physics.exported_code import CodeDriver
+
+                driver = CodeDriver(mine)
+                around = [replace(one, delay=0.0, quantisation={}) for one in around]  # the code has its own
+            elif isinstance(mine[0], Programmed):
+                driver = PythonDriver(mine[0], steps * timestep, course.failures, [numbers[i] for i in some])
+            elif isinstance(mine[0], SemiActive):
+                driver = SemiActiveDriver([one for one in mine if isinstance(one, SemiActive)])
+            elif isinstance(mine[0], RecordedForces):
+                driver = RecordedDriver([one for one in mine if isinstance(one, RecordedForces)])
+            else:
+                linear = [one for one in mine if isinstance(one, Controller)]
+                driver = LinearDriver(linear, preview_forces(linear, cars, heights, timestep, len(course.now)))
+            runs = slice(None) if len(some) == len(vehicles) else np.array(some)
+            computer = Computer(driver, runs, around, actuators, heights)
+            computer.start(cars, timestep, len(course.now))
+            computer.reads_from([self.readout.names[i] for i in self.seen])
+            computers.append(computer)
+        return computers
+
+    def _map(self, actuators: Actuators) -> Array:
+        """Returns the map from a reading, (qpos, qvel) and part of `sensordata`, to measured signals and closing velocities."""
+        readout, some = self.readout, self.seen
+        linear = readout.linear[some][:, None]
+        signals = np.concatenate(
+            [np.where(linear, readout.of_state[some], 0.0), np.where(linear, 0.0, readout.of_sensors[some][:, self.sensors])],
+            axis=1,
         )
-    of_state, of_sensors = np.where(readout.linear, K, 0), np.where(readout.linear, 0, K)
-    named = np.isin(readout.names, [name for one in others for name in one.measured])
-    needed = np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)) | named
-    stage = sensed_stage(readout, needed)
-    sensors = _span(readout.of_sensors[needed & ~readout.linear]) if stage else slice(0, 0)
-    # An acceleration is read in a separate evaluation, with the present road and the force that has acted until now.
-    fresh = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-    unmoved = np.zeros_like(now) if fresh else now - before
-    offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
-    gain = np.concatenate([of_state @ readout.of_state, of_sensors @ readout.of_sensors[:, sensors]], axis=-1)
-    plain, periods = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
-    if undelayed is None and going is None and not (others or vehicle.dampers) and len(periods) == 1:
-        # Runs that may drop out hold forces for different times; all runs are read as if they did.
-        plain = not any(one.delay or one.has_measurement_noise for one in ways)
-    plain = plain or coded
-    unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
-    of_reading = _of_reading(readout, sensors)
-    dampers = drivers.dampers_of(vehicles, readout)
-    follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
-    if coded:
-        if undelayed is not None or len(periods) > 1:
-            raise InputError("exported code drives whole controllers of one sample period; omit --as")
-        noise = measurement_noise([one.implementation for one in vehicles], _seen_names(readout, dampers), len(now))
-        if len(noise):
-            for i, one in enumerate(controllers):
-                offset[:, i] += noise[:, i, [readout.names.index(name) for name in one.measured]]
-    whole = now if course.beyond is None or not len(course.beyond) else np.concatenate([now, course.beyond])
-    ahead = drivers.preview_forces(controllers, vehicles, whole, timestep, len(now))
-    if ahead is not None:
-        offset[..., : ahead.shape[2]] += ahead
-    reads = (gain, memory, offset)
-    if dampers is not None:
-        reads = dampers.beside(gain, memory, offset)
-        if not plain:
-            of_reading, unseen = dampers.after(of_reading, unseen)
+        closing = np.zeros((len(actuators.closing), signals.shape[1]))
+        closing[:, : actuators.closing.shape[1]] = actuators.closing
+        return np.concatenate([signals, closing])[None]
 
-    # Recorded signals were sensed inside the step, with the road midway, or before the step, with the road of the last one.
-    signals = vehicle.kind.signals
-    place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
-    names = [signal.name for signal in signals]
-    acting = [i for i, name in enumerate(names) if name not in {one.missing for one in vehicle.adjustable}]
-    unclipped = np.array([_unclipped(one) for one in vehicles])
-    heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
-    inside, felt = readout.stage > stage, readout.felt or fresh
+    def _unread(self, block: slice, runs: slice, before: Array, actuators: Actuators) -> Array:
+        """Returns what the measured signals and closing velocities contain beside a reading, shape (B, N, s + m)."""
+        level = self.course.now[block, runs]
+        unmoved = np.zeros_like(level) if self.fresh else level - before
+        signals = beside_reading(level, self.readout, self.seen, True) + beside_reading(unmoved, self.readout, self.seen, False)
+        still = np.broadcast_to(actuators.at_rest, (*signals.shape[:2], len(actuators.at_rest)))
+        return np.concatenate([signals, still], axis=-1)
 
-    def of(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
+    def blocks(self, runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         """Yields the blocks of some of the runs."""
-        driving = [models.get(hardware[id(one)], model) for one in vehicles[runs]]
-        if len(driving) == 1 and going is None:
-            batch = Alone(driving[0])
-        else:
-            batch = Batch(model, len(driving), 1)
-            if models:
-                batch.set_models(driving)
-        law, mine = None, drivers.dampers_of(vehicles[runs], readout)
-        anti_windup = drivers.anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
-        setting = (
-            None if mine is None else drivers.SemiActiveLaws(semi_active[runs], mine) if semi_active else drivers.Clipped(mine.of)
-        )
-        code = None
-        if coded:
-            from sim.physics.exported_code import CodeInTheLoop
-
-            code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
-        if not plain:
-            how = [drivers.implementation_around(*one) for one in zip(controllers[runs], vehicles[runs], strict=True)]
-            laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup, whole, ahead)
-            seen = _seen_names(readout, mine)
-            samplers = [Sampler(how, laws, seen, timestep, len(now))]
-            if undelayed is not None:
-                ideal = [Implementation()] * len(how)
-                laws = LinearLaws(beside[runs], beside_memory[runs])
-                samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            played = [one.forces for one in controllers[runs] if isinstance(one, drivers.RecordedForces)]
-            law = drivers.RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
-        level, road, left = now[:, runs], midway[:, runs], before[:, runs]
-        at_samples = level if felt else None
-        wanted = going[runs] if going is not None else None
-        reading = Reading(
-            *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
-            *(sensors, stage, fresh, fresh and not course.accelerations),
-            damped=code or setting,
-            lagging=mine is not None and mine.lags,
-            held=max(periods) if plain else 1,
-            ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
-            anti_windup=anti_windup,
-        )
-        push = None if course.held is None else _push(course.held[:, runs], readout)
-        steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
-        for start, sensed, qpos, qvel, requested, kept, acts in steps:
-            kept = kept if code is None else code.kept
-            some = slice(start, start + len(sensed))
-            recorded = np.zeros((len(sensed), len(signals), batch.nsim))
-            mix(place @ readout.of_sensors, sensed, recorded)
-            recorded -= (place @ readout.rest)[:, None]
-            if not felt:
-                mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level[some] - road[some], 1, 2), recorded)
-            if stage and not felt:
-                mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
-            recorded[:, heights] = np.moveaxis(level[some], 1, 2)
-            if mine is not None:
-                mine.record(recorded, requested, acts)
-            physical = recorded[:, acting] if mine is not None else recorded
-            largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
-            overflowed = np.asarray(~(np.isfinite(requested).all(axis=2) & np.isfinite(kept).all(axis=2)))
-            # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
-            for force, given in zip(np.moveaxis(requested, 2, 0), unclipped[runs].T, strict=False):
-                largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
-            yield Block(start, recorded, qpos, qvel, largest, overflowed, requested, kept)
-
-    def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
-        blocks = of(runs, stopped)
-        with quiet():
-            while True:
-                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
-                    block = next(blocks, None)
-                if block is None:
+        course, readout, vehicles, stage, fresh = self.course, self.readout, self.vehicles[runs], self.stage, self.fresh
+        count, going = len(vehicles), None if course.going is None else course.going[runs]
+        batch = Batch(self.model, count, 1)
+        if self.models:
+            batch.set_models([self.models[self.hardware[id(one)]] for one in vehicles])
+        actuators = Actuators(vehicles, readout)
+        computers, undelayed = self._computers(runs, actuators)
+        recorder = _Recorder(self, vehicles, actuators)
+        now, midway = course.now[:, runs], course.midway[:, runs]
+        felt, of_reading = readout.felt or fresh, self._map(actuators)
+        controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
+        qpos, qvel, activations = batch.bind("qpos"), batch.bind("qvel"), batch.bind("act")
+        measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
+        pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
+        early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
+        batch.forward(stage=stage)
+        nq, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], of_reading.shape[2]
+        commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
+        signals, periods = np.zeros((count, 0)), {one.period for one in (*computers, *undelayed)}
+        states = max((one.used.shape[1] for one in computers), default=0)
+        for start, end in itertools.pairwise(course.edges):
+            block, length = slice(start, end), end - start
+            some = None if going is None or going.all() else np.flatnonzero(going)
+            before = midway[start - 1 : end - 1] if start else np.concatenate([np.zeros_like(now[:1]), midway[: end - 1]])
+            unread, level = self._unread(block, runs, before, actuators), now[block]
+            readings, requested = np.empty((length, count, width)), np.empty((length, count, actuators.size))
+            roads, sensed = np.zeros((length, *heights.shape)), np.empty((length + 1, *sensors.shape))
+            roads[..., readout.mocap], sensed[0] = midway[block], sensors
+            kept = np.zeros((length, count, states))
+            acts = np.empty((length if actuators.lags else 0, *activations.shape))
+            for i in range(length):
+                if stopped():
                     return
-                yield block
+                k, reading = start + i, readings[i]
+                reading[:, :nq] = qpos
+                reading[:, nq:moved] = qvel
+                if fresh:
+                    heights[:, readout.mocap] = level[i]
+                    batch.forward(some)
+                if stage:
+                    reading[:, moved:] = measured
+                if any(not k % period for period in periods):
+                    signals = np.matvec(of_reading, reading)
+                    signals += unread[i]
+                for computer in computers:
+                    computer.step(k, signals, commands)
+                acting = commands
+                if undelayed:
+                    for computer in undelayed:
+                        computer.step(k, signals, more)
+                    acting = commands + more
+                requested[i] = acting
+                actuators.apply(controls, acting)
+                if states:
+                    for computer in computers:
+                        kept[i, computer.runs, : computer.used.shape[1]] = computer.used
+                if actuators.lags:
+                    acts[i] = activations
+                if held is not None:
+                    pushed[:, readout.pushed] = held[k, :, :loads]
+                    if tyres:
+                        controls[:, tyres] = held[k][:, [loads + wheel for wheel in wheels]]
+                if felt:
+                    heights[:, readout.mocap] = level[i]
+                    batch.forward(some)
+                    sensed[i + 1] = sensors
+                heights[...] = roads[i]
+                batch.step(some, stage=0 if fresh else stage)
+                if not felt:
+                    sensed[i + 1] = sensors
+            if stage and not felt:
+                # The evaluation after a step has overwritten the step's own readings with those before the next step.
+                sensed[1:, early] = sensed[:-1, early]
+            values = recorder.signals(sensed[1:], level, midway[block], before, requested, acts)
+            largest, overflowed = recorder.extremes(values, requested, kept)
+            yield Block(start, values, readings[..., :nq], readings[..., nq:moved], largest, overflowed, requested, kept)
 
-    return [functools.partial(quietly, runs) for runs in shares]
+
+def _kind(controller: RunDriver) -> tuple[object, ...]:
+    """Returns a key that is equal for controllers that one driver serves side by side."""
+    if (code := code_of(controller)) is not None:
+        return "code", code.sha256
+    if isinstance(controller, Programmed):
+        return "python", id(controller)
+    if isinstance(controller, SemiActive):
+        return "semi-active", controller.law.name, controller.law.measured
+    return (type(controller),)
 
 
-def _seen_names(readout: Readout, dampers: drivers.Dampers | None) -> tuple[str, ...]:
-    """Returns the names of the signals that a sampler reads; the dampers' closing velocities at their end have none."""
-    return readout.names if dampers is None else (*readout.names, *("" for _ in dampers.closing))
+class _Recorder:
+    """Signals of the samples, from what MuJoCo sensed: inside the step with the road midway, or before it with the last road."""
 
+    def __init__(self, loop: _Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
+        readout, first = loop.readout, vehicles[0]
+        names = [signal.name for signal in first.kind.signals]
+        self.readout, self.stage, self.felt, self.actuators = readout, loop.stage, readout.felt or loop.fresh, actuators
+        self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
+        missing = {one.missing for one in first.adjustable}
+        self.physical = [i for i, name in enumerate(names) if name not in missing]
+        self.wheels = [names.index(wheel.road_displacement) for wheel in first.kind.wheels]
+        self.inside = readout.stage > loop.stage
+        self.unclipped = np.array([_unclipped(one) for one in vehicles]).T
 
-def _push(held: Array, readout: Readout) -> Push:
-    """Returns the loads and the road's velocities that are held over the steps of some runs."""
-    count, (some, tyres) = len(readout.pushed), readout.damped_tyres
-    return Push(readout.pushed, held[..., :count], tyres, held[..., [count + i for i in some]])
+    def signals(self, sensed: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array) -> Array:
+        """Returns the signals of a block, shape (B, S, N).
+
+        Args:
+            sensed: MuJoCo's `sensordata`, shape (B, nsensordata, N).
+            level, midway, before: road heights at the samples, during the steps from them and the steps to them, shape (B, N, r).
+        """
+        readout, place, inside = self.readout, self.place, self.inside
+        values = np.zeros((len(sensed), len(place), sensed.shape[2]))
+        mix(place @ readout.of_sensors, sensed, values)
+        values -= (place @ readout.rest)[:, None]
+        if not self.felt:
+            mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level - midway, 1, 2), values)
+            if self.stage:
+                mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level - before, 1, 2), values)
+        values[:, self.wheels] = np.moveaxis(level, 1, 2)
+        self.actuators.record(values, commands, activations)
+        return values
+
+    def extremes(self, values: Array, commands: Array, kept: Array) -> tuple[Array, Array]:
+        """Returns `Block.largest` and `Block.overflowed`."""
+        physical = values[:, self.physical]
+        largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
+        overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(kept).all(axis=2)))
+        # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
+        for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
+            largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
+        return largest, overflowed
 
 
 def _unclipped(vehicle: Vehicle) -> list[bool]:
@@ -327,63 +408,4 @@ def _unclipped(vehicle: Vehicle) -> list[bool]:
 def _span(of_sensors: Array) -> slice:
     """Returns the part of `sensordata` that signals come from, by their rows of `Readout.of_sensors`."""
     used = of_sensors.any(axis=0).nonzero()[0]
-    return slice(int(used[0]), int(used[-1]) + 1)
-
-
-def _of_reading(readout: Readout, sensors: slice) -> Array:
-    """Returns the map from a reading with these sensors to every signal that it determines, shape (S, r)."""
-    of_state = np.where(readout.linear[:, None], readout.of_state, 0.0)
-    return np.concatenate([of_state, np.where(readout.linear[:, None], 0.0, readout.of_sensors[:, sensors])], axis=-1)
-
-
-def _laws_of(
-    course: BatchInputs,
-    runs: slice,
-    names: Sequence[str],
-    gain: Array,
-    memory: Array,
-    dampers: drivers.Dampers | None,
-    anti_windup: AntiWindup | None,
-    whole: Array,
-    ahead: Array | None,
-) -> Laws:
-    """Returns the laws of some of the runs, on signals of these names.
-
-    Args:
-        dampers: dampers of those runs, or None; with them the laws return commands.
-        anti_windup: anti-windup of those runs, or None.
-        whole: road heights at the samples, and beyond the last one [m], shape (.., N, r).
-        ahead: forces of all runs from the road ahead, or None.
-    """
-    semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
-    if semi_active:
-        assert dampers is not None, "a vehicle file has such a law with adjustable dampers alone"
-        return drivers.SemiActiveLaws(semi_active, dampers, names)
-    programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
-    if not programmed:
-        linear = LinearLaws(gain[runs], memory[runs], anti_windup, None if ahead is None else ahead[:, runs])
-        if dampers is not None:
-            return drivers.Damped(linear, dampers.of)
-        return linear if anti_windup is None else drivers.Limited(linear)
-    numbers = range(len(course.vehicles))[runs]
-    laws = drivers.PythonLaws(programmed, course.vehicles[runs], names, course.timestep, whole[:, runs], course.failures, numbers)
-    return laws if dampers is None else drivers.Damped(laws, dampers.of)
-
-
-class _Sampled:
-    """Law of controllers that are not ideal: the sum of all samplers' forces of step k, from the reading."""
-
-    def __init__(self, samplers: Sequence[Sampler], of_reading: Array, unseen_of_road: Array) -> None:
-        """Takes the map from the reading to the samplers' signals, shape (S, r), and the parts it lacks, shape (T, N, S)."""
-        self.samplers, self.unseen, self.of_reading = samplers, unseen_of_road, of_reading
-
-    @property
-    def used(self) -> Array:
-        """See `sim.physics.stepping.Law`."""
-        return self.samplers[0].laws.used
-
-    def __call__(self, k: int, reading: Array) -> Array:
-        """See `sim.physics.stepping.Law`."""
-        signals = np.matvec(self.of_reading, reading) + self.unseen[k]
-        first, *others = [sampler(k, signals) for sampler in self.samplers]
-        return first + others[0] if others else first
+    return slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)

@@ -24,11 +24,11 @@ from models.laws.python_law import Programmed
 from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.drivers import Failure, RunDriver, steps_ahead
+from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller, code_of, has_anti_windup
+from synth.controller.controller import Controller, has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -45,7 +45,7 @@ class PhysicsRuns:
         ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
         requested_force: requested forces at every sample [N], shape (N, T, m).
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
-            infinite where they diverged, else NaN.
+            infinite where they ran away, else NaN.
         states: the signals of each controller's states.
     """
 
@@ -67,7 +67,7 @@ class PhysicsRuns:
 def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
-    The numbers of a run are bit for bit independent of other runs of its controller: different implementations share no batch.
+    A run's numbers do not depend, to the last bit, on other runs of its controller.
 
     Args:
         controllers: N controllers.
@@ -76,16 +76,13 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
         threads: largest number of threads, with `FEWEST` runs or more each; results do not depend on it. 0 means one per core.
     """
     vehicles, time, timestep = [road.vehicle for road in inputs], inputs[0].time, inputs[0].timestep
-    kinds = [_kind(controller, vehicle, timestep) for controller, vehicle in zip(controllers, vehicles, strict=True)]
-    if len(set(kinds)) > 1:
-        return _by_kind(kinds, controllers, inputs, threads)
     signals, wheels = vehicles[0].kind.signals, vehicles[0].kind.wheels
     once = met_alike(inputs)
     now, midway = (np.stack([getattr(road, name) for road in once], axis=1) for name in ("heights", "midway"))
     ahead = steps_ahead(vehicles, controllers, timestep)
     beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
     shares = shared(
-        len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
+        len(vehicles), 1 if any(isinstance(one, Programmed) for one in controllers) else threads or cores()
     )  # only one thread at a time executes Python
     edges = (0, len(time))
     course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held_on(inputs))
@@ -113,39 +110,6 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
 def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
     """Returns the factor from the states that a law is run with to its own."""
     return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
-
-
-def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int, str]:
-    """Returns the type of a controller, the steps for which it holds a force, 0 if noise or a delay comes between, and the
-    checksum of the exported code that drives it, or an empty text.
-    """
-    computer, code = vehicle.implementation, code_of(controller)
-    late = code is None and (computer.delay or computer.has_measurement_noise)
-    return (
-        type(controller),
-        0 if late else steps_per_sample(computer, timestep),
-        "" if code is None else code.sha256,
-    )
-
-
-def _by_kind(
-    kinds: Sequence[tuple[type, int, str]], controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int
-) -> PhysicsRuns:
-    """Returns the runs of `simulate`, computed for each kind of runs apart (see `_kind`), in the given order."""
-    which, parts = [], []
-    for kind in dict.fromkeys(kinds):
-        some = [i for i, one in enumerate(kinds) if one == kind]
-        which += some
-        parts.append(simulate([controllers[i] for i in some], [inputs[i] for i in some], threads))
-    order = np.argsort(which)
-    values = np.concatenate([one.response.values for one in parts])[order]
-    response = Response(inputs[0].time, parts[0].response.signals, values)
-    names = ("qpos", "qvel", "diverged", "ran_away", "requested_force")
-    qpos, qvel, diverged, ran_away, requested = (np.concatenate([getattr(one, name) for one in parts])[order] for name in names)
-    most = max(one.kept.shape[2] for one in parts)
-    kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
-    states = [signals for one in parts for signals in one.states]
-    return PhysicsRuns(response, qpos, qvel, diverged, ran_away, requested, kept, [states[i] for i in order])
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -186,7 +150,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
-        held: signals that are held over a step, see `BatchInputs`.
+        held: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.

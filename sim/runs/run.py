@@ -28,7 +28,7 @@ from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
     from models.figures.figure import Panel
-    from sim.physics.drivers import RunDriver
+    from sim.physics.driver import RunDriver
 
 
 POINTS = 1000  # points of a drawn curve, about
@@ -420,7 +420,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         return replace(prediction.controller, code=None)
     steps = round(prediction.timestep / float(time[1]))
     from sim.linear.dampers import scaled_commands
-    from sim.physics.drivers import RecordedForces
+    from sim.physics.driver import RecordedForces
 
     commands = scaled_commands(prediction.vehicle, prediction.requested_force, share)
     return RecordedForces(prediction.controller.measured, np.repeat(commands, steps, axis=0)[: len(time)])

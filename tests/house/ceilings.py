@@ -131,7 +131,7 @@ ride metrics and their expectation                             2268   1123      
 map of validity                                                 967    313     35
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    2180    867     12
-    sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
+    sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py docs/explanation/energy-balance.md
     tests/*/test_{energy,hardware,reality,shares}.py
 linear responses                                               1046    418      0
     sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/support/analysed.py

@@ -71,26 +71,6 @@ def test_what_a_law_asks_for(name):
     assert len(set(np.sign(expected - (SOFT + HARD) / 2))) == 2  # hard and soft both
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_a_run_alone_is_decided_in_plain_numbers(name):
-    """The request of a law for a run alone, in plain numbers, is what it asks for of many in arrays, to the last bit."""
-    vehicle = parse_vehicle(f'{CAR}[controllers.{name}]\nsemi_active = "{name}"\n')
-    law = vehicle.controllers[name].semi_active
-    assert law is not None
-    numbers = numbers_of([law], [vehicle])
-    q = len(law.measured)
-    seen = np.random.default_rng(0).normal(size=(300, q)) * np.random.default_rng(1).choice(
-        [0.0, 1e-160, 0.3, 1.0], size=(300, q)
-    )
-    seen[-1] = np.nan
-    behind = np.concatenate([np.full((300, 1), 7.0), seen[:, ::-1]], axis=1)  # in another order, something else before them
-    alone = law.alone(numbers, range(q, 0, -1))
-    with np.errstate(over="ignore", invalid="ignore"):
-        found = law.coefficients(seen, numbers.subset(np.zeros(300, dtype=int)))
-    assert np.array_equal([alone(one) for one in behind.tolist()], found, equal_nan=True)
-    assert len(np.unique(found.round(6), axis=0)) > 3
-
-
 def test_keys_change_a_law():
     """The numbers that a section gives are those that its law has: half the damper to the sky is half the force."""
     text = QUARTER + DAMPER + '[controllers.soft]\nsemi_active = "skyhook_linear"\nsky_damping = 2000.0\n'

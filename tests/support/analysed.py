@@ -19,7 +19,7 @@ from sim.linear.switched_response import Decisions, Switched
 from sim.linear.switched_response import switched as _switched
 from sim.physics import energy as balance
 from sim.physics import simulate as physics_of
-from sim.physics.drivers import RunDriver
+from sim.physics.driver import RunDriver
 from sim.physics.simulate import PhysicsRuns
 from sim.response.response import Response
 from sim.runs import prediction

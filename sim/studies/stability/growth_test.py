@@ -107,7 +107,7 @@ def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[lis
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, trial in enumerate(trials):
         how, laws = trial.vehicle.implementation, [one for one in (trial.controller, trial.undelayed) if one is not None]
-        stage = max(stage_of(trial.vehicle, one, timestep) for one in laws)
+        stage = max(stage_of(trial.vehicle, one.measured, timestep) for one in laws)
         memory = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
         key = stage, memory, how.sample_period is None, how.ideal and trial.undelayed is None
         alike.setdefault(key, []).append(i)
@@ -153,9 +153,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
         np.full(len(trials), True),
     )
     growths: dict[int, Growth] = {}
-    course = BatchInputs(
-        vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False, held=held_on(inputs)
-    )
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, held=held_on(inputs))
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)

@@ -1,0 +1,99 @@
+"""The controller's computer: it samples, measures with noise and quantisation, calls the driver, and delays its commands."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.physics.actuators import CLOSING, Actuators, closing_names
+from sim.physics.driver import Driver
+
+
+class Computer:
+    """Driver of some runs with one sample period, as their `[implementation]` runs it.
+
+    A measurement is quantisation * round((signal + noise) / quantisation). The commands computed from it act `delay` samples
+    later, which may be a fraction. Commands are 0 before the first ones arrive. The driver's states are never late.
+
+    Attributes:
+        driver: the driver.
+        runs: the runs among those of the batch.
+        period: timesteps from sample to sample.
+        used: states of the driver at the last sample, shape (n, k).
+    """
+
+    def __init__(
+        self, driver: Driver, runs: Array | slice, how: Sequence[Implementation], actuators: Actuators, heights: Array
+    ) -> None:
+        """Takes what the computer connects.
+
+        Args:
+            how: implementation of each of the n runs.
+            actuators: actuators of all runs of the batch.
+            heights: road heights of these runs at the timesteps, and beyond the end as far as the driver looks [m], shape
+                (.., n, r).
+        """
+        self.driver, self.runs, self._how, self._actuators, self._heights = driver, runs, how, actuators, heights
+
+    def start(self, vehicles: Sequence[Vehicle], timestep: float, samples: int) -> None:
+        """Starts the driver for its n vehicles, for a run of some samples."""
+        how = self._how
+        self.period = steps_per_sample(how[0], timestep)
+        self._state = self.used = self.driver.start(vehicles, timestep)
+        late = np.array([round(one.delay * self.period) for one in how])
+        self._late, self._each = late, np.arange(len(how))
+        self._changes = np.zeros(self.period, dtype=bool)  # phases of the sample period at which a command arrives
+        self._changes[late % self.period] = True
+        self._waiting = np.zeros(
+            (max(one.pending_forces for one in how) + 1, len(how), self._actuators.size)
+        )  # a ring, by sample
+        self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in self.driver.measured] for one in how])
+        self._step = np.where(self._resolution > 0, self._resolution, 1.0) if self._resolution.any() else None
+        names = vehicles[0].linear_model.outputs
+        noise = measurement_noise(how, (*names, *[""] * len(self._actuators.closing)), samples)
+        self._noise = None
+        if len(noise):
+            columns = [names.index(name) if not name.startswith(CLOSING) else -1 for name in self.driver.measured]
+            self._noise = np.where(np.array(columns) < 0, 0.0, noise[:, :, columns])
+
+    def reads_from(self, names: Sequence[str]) -> None:
+        """Tells the names of the signals that `step` receives, before the closing velocities."""
+        whole = [*names, *closing_names(self._actuators.vehicles[0])]
+        self._places, self._signals = [whole.index(name) for name in self.driver.measured], len(names)
+
+    def step(self, k: int, signals: Array, commands: Array) -> None:
+        """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
+        sample, phase = divmod(k, self.period)
+        if not phase:
+            seen = signals[self.runs]
+            y, closing = seen[:, self._places], seen[:, self._signals :]
+            if self._noise is not None:
+                y += self._noise[k]
+            if self._step is not None:
+                y = np.where(self._resolution > 0, self._step * np.round(y / self._step), y)
+            ahead = None
+            if self.driver.ahead:
+                coming = self._heights[k : k + (self.driver.ahead - 1) * self.period + 1 : self.period]
+                ahead = np.moveaxis(coming, 0, 2)
+            self.used = self._state
+            requested, self._state = self.driver.step(k, y, ahead, self._state)
+            computed = self._actuators.commands(requested, closing, self.runs, self.driver.requests)
+            if len(self._waiting) == 1:
+                commands[self.runs] = computed
+                return
+            self._waiting[sample % len(self._waiting)] = computed
+        if self._changes[phase] and len(self._waiting) > 1:
+            due = (k - self._late) // self.period % len(self._waiting)  # before the first arrives, its place in the ring is 0
+            commands[self.runs] = self._waiting[due, self._each]
+
+
+def measurement_noise(how: Sequence[Implementation], names: Sequence[str], samples: int) -> Array:
+    """Returns the noise of N controllers on signals of these names, shape (samples, N, S), or (0, N, S) without any."""
+    rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
+    noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
+    for i, one in enumerate(how):
+        if np.any(rms[i]):
+            noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+    return noise
