@@ -57,6 +57,10 @@ class LawCoefficients:
         """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
 
+    def alone(self, j: int) -> "LawCoefficients":
+        """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
+        return self._of_each(lambda quantity: float(quantity[0, j]))
+
     def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
         """Returns the coefficients with a function applied to each quantity."""
         damped, moved = ([taken(factor) for factor in factors] for factors in self.modes)

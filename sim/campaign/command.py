@@ -79,7 +79,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         saved = None
         if options.save is not None and within:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
-        if figure is not None:
+        if figure is not None and options.picture is not None:
             write_picture(figure, options.picture)
         stage.end()
     if options.picture is not None and figure is None:

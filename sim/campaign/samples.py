@@ -160,6 +160,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}, and maybe relative = true"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None
     shapes = [key for key in entry if key != "relative"] if isinstance(relative, bool) else []
+    relative = bool(relative)
     values = entry[shapes[0]] if len(shapes) == 1 and shapes[0] in DISTRIBUTIONS else None
     if not isinstance(values, list) or len(values) != 2:
         raise InputError(f"{where} = {quoted(entry)} is not a distribution; {give}")

@@ -270,11 +270,13 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
                 expected.append(Curve(line[:, 0], line[:, 1], f"constant dampers, expected{end}", color, width=2.2))
             for controller, point in crosses.items():
                 label, color = f"{controller}, fully active, expected{end}", looks[f"{controller}{end}"].color
-                expected.append(Curve(*np.array(point)[:, None], label, color, "none", "x"))
+                x, y = np.array(point)[:, None]
+                expected.append(Curve(x, y, label, color, "none", "x"))
         for entry in (one for one in entries if (one["road"], one["speed"]) == (road, speed)):
             if there := _points(entry):
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
-                measured.append(Curve(*np.array(there).T, label, looks[label].color, "none", looks[label].marker))
+                x, y = np.array(there).T
+                measured.append(Curve(x, y, label, looks[label].color, "none", looks[label].marker))
                 measured += _error_bars(entry, looks[label].color) if "variants" not in entry else []
         if measured:
             panels.append(Panel(f"{road} at {speed:g} m/s", ACROSS_LABEL, UP_LABEL, (*expected, *measured)))

@@ -107,7 +107,6 @@ OWNERS = {
         "models/suspension/curve_actuators.py",
         "sim/physics/sensor_readout.py",
         "sim/physics/run_blocks.py",
-        "sim/physics/stepping.py",
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
         "sim/recording/scene.py",
