@@ -246,7 +246,7 @@ class SemiActive:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as JSON has them."""
+        """Name, signals, law and code, as in JSON."""
         code = {"code": self.code.record} if self.code is not None else {}
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 

@@ -446,7 +446,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
     """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
 
     Args:
-        file: its path, or name.
+        file: path or name of the vehicle file.
 
     Raises:
         InputError: the file is missing, not TOML, or a key is missing, unknown or not allowed: the message says file and key.

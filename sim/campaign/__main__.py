@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in CHECKS if options.verify is None else RUNS:
         if name in options.given or (name == "subject_to" and options.subject_to):
             which = "is for --verify" if name in CHECKS else "is for running a campaign, and --verify checks one"
-            raise InputError(f"--{NAMES.get(name, name)} {which}; leave it out")
+            raise InputError(f"--{NAMES.get(name, name)} {which}; omit it")
     from sim.campaign.command import check_results, run_campaign
 
     return run_campaign(options) if options.verify is None else check_results(options)

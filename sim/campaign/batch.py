@@ -107,7 +107,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 def _system(vehicle: Vehicle, controller: Driver, timestep: float) -> tuple[Array, ...]:
-    """Returns the sampled loop as `sim.linear.sampled_response` has it: A, C, and B and D of each input.
+    """Returns the sampled loop of `sim.linear.sampled_response`: A, C, and B and D of each input.
 
     Inputs are road heights at the samples and midway, loads now and a step before, as accelerations feel them, and forces
     that answer the road ahead.
@@ -239,7 +239,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns expected metrics over a random road, and the remaining transient when measuring begins, as a row has them."""
+    """Returns the columns of a row for expected metrics over a random road, and the remaining transient when measuring begins."""
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
     if spectrum is None or not isinstance(controller, Controller):
         return {}

@@ -62,9 +62,9 @@ class Choice:
         request: request of the user.
         candidate: the controller; None if none has numbers.
         values: drawn keys of its law.
-        numbers: of the metrics that were asked for.
-        within: how many candidates are within the limits; 0 if the candidate is only the nearest.
-        count: how many candidates there are.
+        numbers: values of the requested metrics.
+        within: number of candidates within the limits; 0 if the candidate is only the nearest.
+        count: number of candidates.
     """
 
     vehicle: str

@@ -46,7 +46,7 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
     """Returns the runs with the controllers that a campaign began with, and with its drawn laws. No law in Python is run.
 
     Args:
-        gains: as its folder has them.
+        gains: gains in the campaign's folder.
 
     Raises:
         InputError: the file of a law cannot be read, or is not as it was.
@@ -89,7 +89,7 @@ def check_code(gains: Gains, exported: Path) -> None:
     """Refuses the code of a folder with which a campaign did not begin.
 
     Raises:
-        InputError: it is other code, or the campaign began without any.
+        InputError: the code differs, or the campaign began without code.
     """
     from synth.controller.export.folder import MANIFEST
 

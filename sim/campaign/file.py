@@ -169,7 +169,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:
-            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; name each once")
+            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; list each once")
         first[meant] = quoted(value)
 
 

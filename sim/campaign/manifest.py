@@ -56,7 +56,7 @@ class Manifest:
         """Checks that the campaign of its folder has a checksum and versions; `instead` is the advice of the message.
 
         Raises:
-            InputError: it is another campaign, or one of other versions.
+            InputError: the folder is of another campaign, or of other versions.
         """
         if self.digest != digest:
             raise InputError(f"{folder} holds another campaign, of other files than these; {instead}")
@@ -96,7 +96,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
 
 def gains_of(controllers: Mapping[str, Mapping[str, Driver]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Returns the gains by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum."""
+    """Returns the gains by vehicle and controller for JSON, with every digit; for a law in Python its checksum."""
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
         for vehicle, some in controllers.items()

@@ -88,8 +88,8 @@ class Plan:
 
     Attributes:
         campaign: the campaign.
-        controllers: by vehicle and name.
-        variants: of every vehicle, the drawn laws of each controller that has some.
+        controllers: drivers by vehicle and name.
+        variants: drawn laws of every vehicle, by controller.
         roughness: IRIs of roads so far; kept for a while, as many runs share a road.
     """
 
@@ -153,7 +153,7 @@ class Plan:
                 start = end
 
     def inputs(self, run: int) -> dict[str, Any]:
-        """Returns the inputs of a run as its row has them."""
+        """Returns the columns of a row that describe its run."""
         block, variant, sample, seed = self.place(run)
         law = block.variants[variant] if block.variants else None
         return {
@@ -168,7 +168,7 @@ class Plan:
         }
 
     def runs(self, start: int, stop: int) -> "list[PlannedRun]":
-        """Returns some runs of one vehicle. Those of one sample share it."""
+        """Returns some runs of one vehicle. Runs of one sample share the vehicle."""
         c, runs, vehicles = self.campaign, [], dict[int, Vehicle]()
         for run in range(start, stop):
             block, variant, sample, seed = self.place(run)
@@ -185,10 +185,10 @@ class PlannedRun:
     """Run with everything that it needs.
 
     Attributes:
-        inputs: as its row has them.
-        vehicle: with the sampled values.
-        controller: its driver.
-        choice, road: the road, as chosen and as built.
+        inputs: columns of its row that describe the run.
+        vehicle: vehicle with the sampled values.
+        controller: driver of the run.
+        choice, road: choice of the road, and the road.
     """
 
     inputs: Mapping[str, Any]

@@ -205,7 +205,7 @@ def read_count(value: Any, where: str, more: str = "") -> int:
         InputError: the value is not an integer, or makes no runs or too many.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_RUNS:
-        raise InputError(f"{where} = {quoted(value)} is not allowed; give a whole number from 1 to {MOST_RUNS}{more}")
+        raise InputError(f"{where} = {quoted(value)} is not allowed; give an integer from 1 to {MOST_RUNS}{more}")
     return value
 
 

@@ -25,7 +25,7 @@ class Store:
     """The results folder of one campaign, used by one process at a time.
 
     Attributes:
-        folder: its place.
+        folder: folder of the results.
         schema: columns of the results.
         runs: number of runs of the campaign.
         parts: complete files of batches by their first run, with the run after their last.

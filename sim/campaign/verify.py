@@ -23,10 +23,10 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
     """Checks a finished campaign; returns the number of rows, the runs that were driven again, and what differs, in words.
 
     Args:
-        plan: its runs, with the gains that its folder holds.
-        gains: these gains.
-        count: how many runs are driven again.
-        progress: is told how many are done.
+        plan: runs with the gains of the folder.
+        gains: gains of the folder.
+        count: number of runs that are driven again.
+        progress: function that receives the number of finished runs.
 
     Raises:
         InputError: the campaign is not finished.

@@ -265,7 +265,7 @@ def _interval(options: Namespace, runs: Sequence[Run], road: Road, time: Array) 
 
 
 def _result(options: Namespace, each: Driven, interval: Interval | None) -> dict[str, Any]:
-    """Returns the result of a vehicle, as its log and JSON have it."""
+    """Returns the result of a vehicle for its log and JSON."""
     road, time = each.runs[0].road, each.runs[0].prediction.time
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
     if interval is not None:

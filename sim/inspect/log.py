@@ -24,7 +24,7 @@ GIVE = "give an .mcap file that a run has written"
 
 
 class Part(dict[str, Any]):
-    """Part of a log, by name: an InputError says what it lacks."""
+    """Part of a log by name; an InputError names what is missing."""
 
     def __missing__(self, key: str) -> NoReturn:
         raise InputError(f"the log has no {key!r}")

@@ -185,7 +185,7 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
     for text in wrong:
         yield Finding("responses", FAILS, text)
     if not wrong:
-        how = f"to {worst:.0e} of a peak" if worst else "to the last bit"
+        how = f"to {worst:.0e} of a peak" if worst else "bit for bit"
         yield Finding("responses", HOLDS, f"MuJoCo's, sampled and continuous come out as they were logged, {how}")
 
 

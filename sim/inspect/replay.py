@@ -72,7 +72,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     A law in Python is the attached text. If exported code drove the run, the code is made again.
 
     Raises:
-        InputError: it is not a controller of this vehicle, or its proof or code is malformed.
+        InputError: the vehicle has no such controller, or the proof or code is malformed.
     """
     controller = _recorded_law(log, vehicle, run)
     if "code" not in run.claims:

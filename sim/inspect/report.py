@@ -104,7 +104,7 @@ def write_signals(path: Path, proof: Proof) -> None:
         InputError: the log has no signals of a known vehicle, or the file cannot be written.
     """
     if proof.vehicle is None:
-        raise InputError("--csv: there are no signals of a known vehicle in the log to write; leave it out")
+        raise InputError("--csv: there are no signals of a known vehicle in the log to write; omit --csv")
     columns, longest, timestep = [], 0, proof.log.timestep
     for one in proof.runs:
         states = kept(one.again.controller) if one.again else ()

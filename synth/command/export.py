@@ -63,7 +63,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
     """Writes the folder of one controller; returns what is in it for JSON, and in lines."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
+        raise InputError(f"--export {folder}: is there already, and not empty; give another folder, or remove it")
     _, law, texts = _law(vehicle, options, str)
     with (
         made_folder(folder.parent, "export"),
@@ -87,7 +87,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
         f"controller {law.controller} as C99 in {options.numbers}, with the prefix {law.name}",
         *(f"  {path}" for path in texts),
         "",
-        f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
+        f"written to {folder}; its README.md shows how to call it, and python -m synth --check {folder} if it is changed",
     ]
 
 
@@ -173,7 +173,7 @@ def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
 def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the linear vehicle as the content of an FMU."""
     if options.controller:
-        raise InputError("--part vehicle has no controller in it; leave --controller out, or ask for --part loop")
+        raise InputError("--part vehicle has no controller in it; omit --controller, or request --part loop")
     model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle_system(vehicle))
     return model, {VEHICLE: vehicle.text}, _about(model)
 

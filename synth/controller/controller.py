@@ -51,7 +51,7 @@ class Controller(Checked, Shown):
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
         specifications: specifications of its design or evaluation, in addition to the least norm.
-        preview: its force from the road ahead, in addition to that of its law; None without.
+        preview: force from the road ahead, in addition to that of its law; None without.
         code: the `ExportedCode` that computes its outputs in runs; None if its own law does.
     """
 

@@ -105,7 +105,7 @@ def test_bump(log, capsys):
     parts = {finding["part"] for finding in controlled["findings"]}
     assert parts == {"certificate", "responses", "claims", "result"}
     texts = {finding["part"]: finding["text"] for finding in controlled["findings"]}
-    assert texts["responses"] == "MuJoCo's, sampled and continuous come out as they were logged, to the last bit"
+    assert texts["responses"] == "MuJoCo's, sampled and continuous come out as they were logged, bit for bit"
     assert texts["claims"].startswith("energy balances")
     assert any(finding["text"].startswith("lift-off") for finding in controlled["findings"])
     result = json.loads(dict((name, data) for name, _, data in contents(log).attachments)["result.json"])

@@ -130,7 +130,7 @@ def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
         if row["parameter_sprung_mass"] > 500:
             assert row["reason"].startswith(f"{FAILED}controller 'mine', law mine.py:step: ")
             assert FAULTS[fault] in row["reason"]
-            assert set(row) == {name for name in untouched if name in plan.inputs(plan.key(0))} | {"run", "reason"}
+            assert set(row) == {name for name in untouched if name in plan.inputs(0)} | {"run", "reason"}
         else:
             assert row == untouched
 

@@ -95,7 +95,7 @@ class ExportedLaw:
 
     @cached_property
     def tables(self) -> dict[str, Array]:
-        """Tables A, B, C, D and anti-windup L as the code has them: in fixed point of whole numbers."""
+        """Tables A, B, C, D and anti-windup L of the code; in fixed point they are integers."""
         if (of := self.fixed) is None:
             L = np.zeros((self.states, 0)) if self.anti_windup is None else self.anti_windup
             return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "L": L}
@@ -257,7 +257,7 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; in fixed point both are whole numbers."""
+        """Returns the outputs for the inputs of a sample; in fixed point both are integers."""
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             self._line.append(self._computed(self._read(seen)))
         return self._line.pop(0)

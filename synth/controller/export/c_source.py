@@ -1,6 +1,6 @@
 """C99 of an exported law: no heap, no library, a fixed order of summation, every name with the law's prefix.
 
-In fixed point there are whole numbers alone: sums are in 64 bits, and every result is clipped in place of an overflow.
+In fixed point there are integers alone: sums are in 64 bits, and every result is clipped in place of an overflow.
 """
 
 from collections.abc import Iterable, Sequence
@@ -180,7 +180,7 @@ class CSource:
         if law.period is not None:
             include += f"#define {p.upper()}_SAMPLE_PERIOD {literal(law.numbers, law.period)} /* s */\n\n"
         return (
-            f"/* Controller {law.controller}. Units, signs and the order of calls stand in README.md of this folder. */\n"
+            f"/* Controller {law.controller}. Units, signs and the order of calls are in README.md of this folder. */\n"
             f"#ifndef {guard}\n#define {guard}\n\n{include}"
             f"typedef struct\n{{\n{state}}} {p}_state;\n\ntypedef struct\n{{\n{ins}}} {p}_in;\n\n"
             f"typedef struct\n{{\n{outs}}} {p}_out;\n\n"
