@@ -106,7 +106,7 @@ def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
         try:
             _drawn(vehicle).compile()
         except MUJOCO_SAYS:
-            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it"
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
         else:
             whose = (
                 f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if kinds is not None and not kinds.is_dir():
         raise InputError(f"kinds {kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
     if options.csv is not None and not alone:
-        raise InputError(f"--csv writes the signals of one log, and {len(paths)} were given; give one, or omit --csv")
+        raise InputError(f"--csv writes the signals of one log, and {len(paths)} are given; give one log, or omit --csv")
     read = [file for ending in ("py", "xml") for file in kinds.glob(f"*.{ending}")] if kinds is not None else []
     check_outputs({"csv": options.csv}, [*paths, *read], options.json)
     objects: list[dict[str, Any]] = []

@@ -137,7 +137,9 @@ class LinearDriver:
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         """See `Driver.step`."""
         m, q = self._forces, self._gain.shape[2]
-        computed = np.matvec(self._gain, y[:, :q])
+        computed = np.zeros(self._gain.shape[:2])
+        for j in range(q):  # term by term: zeros for the measurements of other controllers do not change the rounding
+            computed += self._gain[:, :, j] * y[:, j : j + 1]
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]

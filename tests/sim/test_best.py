@@ -288,7 +288,7 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no keys to be drawn"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no keys to be drawn"),
-        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is none of the campaign's"),
+        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is not a controller of the campaign"),
     ],
 )
 def test_bad_keys(tmp_path, monkeypatch, drawn, said):

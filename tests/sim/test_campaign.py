@@ -505,7 +505,7 @@ SAMPLED = "[samples]\ncount = 4\n[samples.parameters]\n"
 # (changes to the keys of a file that is fine, text after them, what is said)
 BAD_FILES = [
     ({"vehicles": "[]"}, "", "vehicles = [] is not allowed; give"),
-    ({"roads": None}, "", "'roads' is missing; give a list"),
+    ({"roads": None}, "", "'roads' is missing, so there are no runs; give a list"),
     ({"speeds": "10.0"}, "", "speeds = 10.0 is not allowed; give"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
