@@ -86,7 +86,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("loads", _GOALS, "goals are of the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
     ("force", "pid", "it answers one measured signal for each force"),
-    ("force", "steps", "a force contains no information on the state, so no gain of the least norm is designed for it"),
+    ("force", "steps", "a force does not show the state, so no gain is designed for it"),
     ("force", "lqr preview", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
     ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),

@@ -53,7 +53,7 @@ CHANGES = [
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
     ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
-    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "no information on the state"]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "does not show the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
     ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
