@@ -1,6 +1,7 @@
-"""The site: `python -m sphinx -W docs docs/_build` builds it; `generate.py` makes reference, gallery and notebook."""
+"""Configuration of the site. `python -m sphinx -W docs docs/_build` builds it; `generate.py` writes the generated pages."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from docutils import nodes
@@ -20,7 +21,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "Roadproof"
-html_math_renderer = "mathml"  # which browsers show by themselves: no network, no script
+html_math_renderer = "mathml"  # browsers display MathML without scripts or network
 html_show_sourcelink = False
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -32,7 +33,7 @@ toc_object_entries = False
 
 
 def mathml(translator: SphinxTranslator, node: nodes.math | nodes.math_block) -> None:
-    """Writes a formula as MathML; the theme cuts what overhangs a formula of a line of its own, so that it has a margin."""
+    """Writes a formula as MathML. A displayed formula has a margin, because the theme clips its overhang."""
     block = isinstance(node, nodes.math_block)
     try:
         formula = tex2mathml(node.astext(), as_block=block)
@@ -43,21 +44,34 @@ def mathml(translator: SphinxTranslator, node: nodes.math | nodes.math_block) ->
 
 
 def escape_bars(app: Sphinx, what: str, name: str, owner: object, options: object, lines: list[str]) -> None:
-    """Keeps the bars of |K| in docstrings, which would be a substitution."""
+    """Escapes the bars of |K| in docstrings, which reStructuredText reads as a substitution."""
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
 def write_pages(app: Sphinx) -> None:
-    """Writes the generated pages beside the others."""
-    for name, text in (*generate.pages().items(), ("reference/logs", generate.log_page())):
-        path = HERE / f"{name}.md"
+    """Writes the generated pages and drawings next to the handwritten pages."""
+    pages = generate.pages() | {"reference/logs": generate.log_page()}
+    write(HERE, {f"{name}.md": text for name, text in pages.items()} | generate.drawings())
+
+
+def write_redirects(app: Sphinx, error: Exception | None) -> None:
+    """Writes a redirect at every old address of the built site."""
+    if error is None and app.builder.format == "html":
+        write(Path(app.outdir), generate.redirects())
+
+
+def write(folder: Path, files: Mapping[str, str]) -> None:
+    """Writes files below a folder. An unchanged file keeps its time, so that Sphinx does not read it again."""
+    for name, text in files.items():
+        path = folder / name
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def setup(app: Sphinx) -> None:
-    """Adds the formulas and the generated pages."""
+    """Connects the formulas, the generated pages and the redirects."""
     app.add_html_math_renderer("mathml", inline_renderers=(mathml, None), block_renderers=(mathml, None))
     app.connect("builder-inited", write_pages)
+    app.connect("build-finished", write_redirects)
     app.connect("autodoc-process-docstring", escape_bars)

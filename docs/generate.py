@@ -1,10 +1,9 @@
-"""Pages of the site that are made from the code, as Markdown: the reference, the gallery and the notebook.
+"""Pages of the site that are generated from the code: reference, gallery, notebook, drawings, and redirects of old addresses.
 
-Nothing here lists what the code lists. Commands come from their parsers, and keys from the tables of their readers. Signals,
+Nothing here repeats a list of the code. Commands come from their parsers, and keys from the tables of their readers. Signals,
 roads and metrics come from the models, public names from `__all__`, and pictures from the pages that draw them.
 """
 
-import argparse
 import ast
 import contextlib
 import functools
@@ -12,6 +11,7 @@ import importlib
 import inspect
 import io
 import json
+import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -52,6 +52,39 @@ from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
 PACKAGES = (models, synth, sim)
+GUIDES = ("how-to/*.md", "built-in-vehicles.md", "tutorials/your-own-car.md")  # pages that show keys of a vehicle file
+DRAWN = ("quarter_car", "half_car", "full_car")  # vehicles on the page of conventions
+
+# Pages that have moved: old address -> new address, below `docs/` without suffix.
+MOVED = {
+    "how-to/a-discrete-plant": "how-to/any-linear-plant",
+    "how-to/a-law-from-matlab": "how-to/import-controllers",
+    "how-to/a-law-in-python": "how-to/python-control-laws",
+    "how-to/a-road-in-python": "how-to/custom-roads",
+    "how-to/a-template-for-comfort": "how-to/weights",
+    "how-to/adjustable-dampers": "how-to/semi-active-dampers",
+    "how-to/any-controller": "how-to/any-linear-plant",
+    "how-to/any-plant": "how-to/any-linear-plant",
+    "how-to/bands-and-families": "how-to/any-linear-plant",
+    "how-to/controllers-with-states": "how-to/dynamic-controllers",
+    "how-to/curves": "how-to/springs-and-dampers",
+    "how-to/designs-with-filters": "how-to/weights",
+    "how-to/errors-by-frequency": "how-to/robustness",
+    "how-to/gallery": "explanation/verification",
+    "how-to/limits-and-implementation": "how-to/limits-and-actuators",
+    "how-to/many-vehicles": "how-to/any-linear-plant",
+    "how-to/proofs-of-goals": "explanation/how-goals-are-proved",
+    "how-to/python-control": "how-to/import-controllers",
+    "how-to/record-and-open": "how-to/record-and-view",
+    "how-to/roll-centres": "how-to/suspension-kinematics",
+    "how-to/semi-active-laws": "how-to/semi-active-dampers",
+    "how-to/the-sampled-loop": "how-to/sampled-data-design",
+    "how-to/vehicles-that-ship": "built-in-vehicles",
+    "how-to/weights-by-frequency": "how-to/weights",
+    "how-to/what-is-in-a-log": "reference/logs",
+    "how-to/your-own-kind": "how-to/custom-vehicle-type",
+    "how-to/your-own-vehicle": "tutorials/your-own-car",
+}
 
 
 def pages() -> dict[str, str]:
@@ -70,6 +103,19 @@ def pages() -> dict[str, str]:
     }
 
 
+def redirects() -> dict[str, str]:
+    """Returns an HTML page for every address that has moved, by file below the site's folder. It leads to the new address."""
+    return {f"{old}.html": _redirect(os.path.relpath(f"{new}.html", Path(old).parent)) for old, new in MOVED.items()}
+
+
+def _redirect(to: str) -> str:
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Moved</title><link rel="canonical" href="{to}">'
+        f'<meta http-equiv="refresh" content="0; url={to}"></head><body>This page has moved to <a href="{to}">{to}</a>.</body>'
+        "</html>\n"
+    )
+
+
 def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Returns a Markdown table."""
     lines = [heading, ["---"] * len(heading), *rows]
@@ -77,7 +123,7 @@ def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def attributes(owner: type) -> dict[str, str]:
-    """Returns what a class's docstring says of its attributes, by name."""
+    """Returns the entries of a class's docstring on its attributes, by name."""
     text = (inspect.getdoc(owner) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
     entries = re.split(r"^    (?=\w[\w, ]*: )", text, flags=re.M)
     parts = [entry.partition(": ") for entry in entries if entry.strip()]
@@ -91,9 +137,9 @@ class _MadeError(Exception):
     """Signal that a command has made its parser."""
 
 
-def parser_of(command: str) -> argparse.ArgumentParser:
-    """Returns the parser of a command, which does not run."""
-    made: list[argparse.ArgumentParser] = []
+def parser_of(command: str) -> Parser:
+    """Returns the parser of a command without running the command."""
+    made: list[Parser] = []
 
     def stop(parser: Parser, *_: object) -> None:
         made.append(parser)
@@ -108,22 +154,22 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 
 def commands() -> str:
     """Returns the page of all commands and their options."""
-    text = "# Commands\n\nEach is `python -m NAME`, or `roadproof` with the last part of its name.\n"
+    text = "# Commands\n\nRun `sim.bump` as `roadproof bump` or as `python -m sim.bump`, and the other commands likewise.\n"
     for name, purpose, _ in COMMANDS:
         parser = parser_of(name)
-        page = f"../how-to/{name.rpartition('.')[2]}.md"
         rows = []
         for action in parser._actions:
             value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
             options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
             rows.append((options or f"`{value or action.dest}`", cell((action.help or "").replace("%%", "%"))))
         usage = " ".join((parser.description or "").split())
-        text += f"\n## {name}\n\nPurpose: [{purpose}]({page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
+        page = parser.page.removeprefix("docs/")
+        text += f"\n## {name}\n\nPurpose: [{purpose}](../{page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
     return text
 
 
 def cell(text: str) -> str:
-    """Returns a text as Markdown shows it literally."""
+    """Returns a text in which Markdown shows every character literally."""
     return re.sub(r"([\[\]*_<>`])", r"\\\1", " ".join(text.split()))
 
 
@@ -131,22 +177,22 @@ def cell(text: str) -> str:
 
 
 @functools.cache
-def how_to() -> list[tuple[Path, str]]:
-    """Returns the pages on what one can do, each with its text."""
-    return [(path, path.read_text(encoding="utf-8")) for path in sorted((HERE / "how-to").glob("*.md"))]
+def guides() -> list[tuple[Path, str]]:
+    """Returns the pages that show keys of a vehicle file, each with its text."""
+    return [(path, path.read_text(encoding="utf-8")) for glob in GUIDES for path in sorted(HERE.glob(glob))]
 
 
 def shown_in(key: str) -> str:
     """Returns links to the pages that contain a key of a vehicle file as code."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
-    found = [path for path, text in how_to() if there.search(text)]
-    return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
+    found = [path for path, text in guides() if there.search(text)]
+    return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:3])
 
 
 PAYLOAD = {
-    "mass": "of a point mass on the body",
-    "x": "forward of the unladen body's centre of mass",
-    "z": "above the unladen body's centre of mass",
+    "mass": "point mass on the body",
+    "x": "position of the point mass, forward of the unladen body's centre of mass",
+    "z": "height of the point mass above the unladen body's centre of mass",
 }
 
 
@@ -159,11 +205,11 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
         for name in kinds()
     }
-    sections["[performance]"] = [("road", "", "filter from the disturbance w to the road's velocity under every wheel")]
-    sections["[performance]"] += [(key, "", "of a signal's weight with a filter") for key in weights.KEYS]
+    sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
+    sections["[performance]"] += [(key, "", "part of a frequency-dependent weight") for key in weights.KEYS]
     sections["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
     sections["bounds of a controller"] = [
-        (key, "", f"example: `{example}`" + (f"; beside it {', '.join(more)}" if more else ""))
+        (key, "", f"example: `{example}`" + (f"; with {', '.join(more)}" if more else ""))
         for key, (more, example) in BOUND_KINDS.items()
     ]
     sections["semi-active laws"] = [
@@ -173,7 +219,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
     sections["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
     sections["[implementation]"] = [
-        (key, "", own.get(key, "designs are for the sampled loop, where a section says nothing else"))
+        (key, "", own.get(key, "design for the sampled-data loop, unless a controller's section sets another value"))
         for key in IMPLEMENTATION_KEYS
     ]
     sections["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
@@ -186,14 +232,14 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
 def default(parameter: Any) -> str:
     """Returns the default of a parameter in words; empty if a vehicle file must give it."""
     if parameter.optional:
-        return "; may be left out"
-    return f"; {parameter.usual:g} unless given" if parameter.usual is not None else ""
+        return "; optional"
+    return f"; default {parameter.usual:g}" if parameter.usual is not None else ""
 
 
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
     text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
-    text += "The right column has the pages that use a key.\n"
+    text += "The last column lists pages that show the key in use.\n"
     for section, keys in key_sections().items():
         rows = [
             (f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys
@@ -203,15 +249,18 @@ def vehicle_file() -> str:
 
 
 def together() -> str:
-    """Returns the page of what goes together in a controller's section."""
+    """Returns the page of the keys that can be combined in a controller's section."""
     rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
     text = (
-        f"# What goes together\n\nThe first {len(KINDS)} rows are laws and designs; a section has one of them. The other rows "
-        'are keys that may stand beside it: "yes" means that the two go together. Several keys in one section must all go '
-        "together. "
-        '"Goals" are all keys of [goals](../how-to/goals.md). `control_force` is one among the measurements, of forces that act '
-        "at once. The options are those of `python -m synth`; `--rates` gives every linear controller's norms, and designs anew "
-        "as said here. What does not go together is refused with the reason. LQG takes `noise` by itself.\n"
+        f"# Compatible options\n\nThe first {len(KINDS)} rows are control laws and designs. A controller's section has one of "
+        'them. The other rows are keys that a section can have in addition. "yes" means that a row and a column can be combined. '
+        "If a section has several keys, each pair of them must be compatible. Roadproof refuses other combinations and prints "
+        "the reason.\n\n"
+        '- "Goals" are all keys of [goals](../how-to/goals.md).\n'
+        "- `control_force` is a measured signal here, of an actuator without `lag`.\n"
+        "- The options belong to `roadproof synth`. `--rates` computes the norms of every linear controller. It designs a "
+        "controller again if the table allows that.\n"
+        "- LQG always uses the sensor noise of the vehicle file, without the key `noise`.\n"
     )
     for columns in (KEYS, tuple(OPTIONS)):
         marks = [
@@ -226,11 +275,13 @@ def together() -> str:
 
 
 def signal_tables() -> str:
-    """Returns the page of all signals: in general, and the names of each kind of vehicle."""
+    """Returns the page of all signals: their meanings, and their names on each vehicle type."""
     known = [value for value in vars(signals).values() if isinstance(value, signals.Signal)]
     rows = [(f"`{one.name}`", one.symbol, one.unit, one.meaning) for one in known]
-    text = f"# Signals\n\n{table(('name', 'symbol', 'unit', 'meaning'), rows)}"
-    text += "\nOn several wheels a signal carries the wheel's name. A law's states follow as `controller_1` and so on.\n"
+    text = "# Signals\n\nSignals are in SI units, and zero in equilibrium. See also [Conventions](../conventions.md).\n\n"
+    text += table(("name", "symbol", "unit", "meaning"), rows)
+    text += "\nOn a vehicle with several wheels, the name of a signal ends with the wheel, as in `tyre_deflection_rear`. "
+    text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
         listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
         text += (
@@ -257,7 +308,7 @@ def first(owner: Any) -> str:
 def roads() -> str:
     """Returns the page of roads and loads."""
     text = (
-        "# Roads and loads\n\nA road is named as in `--road pothole:depth=0.06:length=1.5`, a load as in `--load brake:g=0.5`.\n"
+        "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`.\n"
     )
     for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
         for name, owner in table_of.items():
@@ -266,15 +317,15 @@ def roads() -> str:
 
 
 def metric_tables() -> str:
-    """Returns the page of metrics: how they are defined, and their names for the quarter-car under loads."""
+    """Returns the page of metrics: their definitions, and their names for the quarter-car under loads."""
     about, _, formulas = (inspect.getdoc(metrics) or "").partition("\n\n")
     rows = [
         (f"`{one.name}`", one.unit, f"`{one.source}`", one.what) for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
     ]
     others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
     return (
-        f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Of a quarter-car\n\n"
-        f"{table(('name', 'unit', 'signal', 'statistic'), rows)}\n## Of a full car\n\n{', '.join(others)}.\n"
+        f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Metrics of a quarter-car\n\n"
+        f"{table(('name', 'unit', 'signal', 'statistic'), rows)}\n## Metrics of a full car\n\n{', '.join(others)}.\n"
     )
 
 
@@ -282,7 +333,7 @@ def metric_tables() -> str:
 
 
 def told(node: ast.expr) -> str:
-    """Returns the text of a message's expression, with <names> of what it quotes; empty if it is made elsewhere."""
+    """Returns the text of a message's expression, with <names> for inserted values; empty if the text is made elsewhere."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
@@ -321,9 +372,9 @@ def raised(path: Path) -> list[tuple[str, str]]:
 def messages() -> str:
     """Returns the page of all messages, a section for each room."""
     text = (
-        "# Messages\n\nA command that is given wrong input ends with exit code 2 and one of these lines. It says what was found "
-        "and what is allowed, and then what to do. `<name>` and `...` stand for what was found. A function of the library raises "
-        "the same text as an `InputError`.\n"
+        "# Messages\n\nFor invalid input, a command prints one of these lines and ends with exit code 2. The line contains what "
+        "was found, what is allowed, and what to do. `<name>` and `...` are placeholders for values. A function of the library "
+        "raises an `InputError` with the same text.\n"
     )
     rooms: dict[str, list[tuple[str, str]]] = {}
     for package in PACKAGES:
@@ -338,13 +389,51 @@ def messages() -> str:
         if rows:
             parts = [(*said.rpartition("; ")[::2], at) if "; " in said else (said, "", at) for at, said in rows]
             listed = table(
-                ("found, and allowed", "what to do", "arises in"), [(cell(one), cell(do), at) for one, do, at in parts]
+                ("problem, and what is allowed", "what to do", "raised in"), [(cell(one), cell(do), at) for one, do, at in parts]
             )
             text += f"\n## {room}\n\n{cell(first(importlib.import_module(room)))}\n\n{listed}"
     return text
 
 
 # Logs, from one that is written now
+
+
+TOPICS = {
+    "mujoco": "the simulation",
+    "linear": "its exact sampled response",
+    "continuous": "response of the paper's continuous loop",
+    "difference": "simulation minus sampled response, as a share of each signal's peak",
+    "loads": "forces and moments on the body, the sum and each one, held over a step",
+    "dampers": "forces of semi-active dampers, and of springs and dampers with characteristics, and their limits",
+    "events": "lift-offs, landings, bump stops and other events",
+    "transforms": "motion of the vehicle, 60 frames a second",
+    "shapes": "solids of the vehicle",
+    "scene": "struts, tyres and control forces, 60 frames a second",
+}
+LOGS = (
+    """# Logs
+
+A log is an MCAP file, which the `mcap` libraries of many languages read. [Record and view runs](../how-to/record-and-view.md)
+lists the viewers. Time counts from the start of the run.
+
+## Topics
+""",
+    """
+- With several controllers, a topic begins with the name of its controller, as in `/I/mujoco`. `/loads` exists if loads act.
+- Fields have the names of the [signals](signals.md). Metadata of the channel and comments in the schema contain their units.
+- The states of a dynamic controller are `controller_1` and so on, in its own coordinates, each as at the last sample. Viewers
+  plot the six states that contribute most to the forces. The state of a control law in Python is not recorded.
+
+## Fields of quarter_car_semi_active
+
+Other vehicles have their own signals.
+""",
+)
+ATTACHED = {
+    "vehicle.toml": "the vehicle file",
+    "model.xml": "the MJCF of the run",
+    "result.json": "output of `--json`, except `compared` and paths",
+}
 
 
 def log_page() -> str:
@@ -362,18 +451,14 @@ def log_page() -> str:
             summary = reader.get_summary()
             assert summary is not None
             claims = {one.name: one.metadata for one in reader.iter_metadata()}
-            attached = [(f"`{one.name}`", one.media_type) for one in reader.iter_attachments()]
-    rows = []
-    for channel in sorted(summary.channels.values(), key=lambda one: one.topic):
-        rows.append(
-            (f"`{channel.topic}`", summary.schemas[channel.schema_id].name, ", ".join(f"`{each}`" for each in channel.metadata))
-        )
-    text = "# Log channels\n\nThe channels of a run of `quarter_car_semi_active`; other vehicles have their own signals.\n"
-    text += f"\n{table(('topic', 'schema', 'units are given of'), rows)}"
+            attached = [(f"`{one.name}`", one.media_type, ATTACHED[one.name]) for one in reader.iter_attachments()]
+    there = {one.topic: (summary.schemas[one.schema_id].name, one.metadata) for one in summary.channels.values()}
+    rows = [(f"`/{name}`", there.get(f"/{name}", ("roadproof.Signals", ()))[0], content) for name, content in TOPICS.items()]
+    fields = [(f"`{name}`", ", ".join(f"`{one}`" for one in each)) for name, (_, each) in sorted(there.items()) if each]
+    text = f"{LOGS[0]}\n{table(('topic', 'schema', 'content'), rows)}{LOGS[1]}\n{table(('topic', 'fields'), fields)}"
     for name, values in claims.items():
         text += f"\n## Metadata {name}\n\n{', '.join(f'`{key}`' for key in values)}.\n"
-    text += f"\n## Attachments\n\n{table(('name', 'type'), attached)}"
-    return text + "\n`result.json` is what the command prints with `--json`.\n"
+    return text + f"\n## Attachments\n\n{table(('name', 'type', 'content'), attached)}"
 
 
 # Public names
@@ -381,7 +466,7 @@ def log_page() -> str:
 
 def names(package: Any) -> str:
     """Returns the page of a package's public names, for autodoc."""
-    title = f"Public names of {package.__name__}"
+    title = f"Python API: {package.__name__}"
     lines = [f"# {title}", "", first(package), "", "```{eval-rst}"]
     for name in package.__all__:
         value = getattr(package, name)
@@ -396,11 +481,18 @@ def names(package: Any) -> str:
 # Pictures and the notebook
 
 
+def drawings() -> dict[str, str]:
+    """Returns a drawing of each vehicle type with its symbols, by file below `docs/`: its last view, in the text colour."""
+    style = '<svg style="display: block; max-width: 100%; height: auto; margin: 1rem 0" '
+    views = {name: vehicle_sketch(read_vehicle(name), computer=False).single[-1] for name in DRAWN}
+    return {f"reference/{name}.svg": sketch_svg(view).replace("<svg ", style, 1) + "\n" for name, view in views.items()}
+
+
 def car() -> str:
-    """Returns the picture of the home page, `.github/pictures/car.svg`: the half-car that ships, over the paper's bump."""
+    """Returns the picture of the home page, `.github/pictures/car.svg`: the built-in half-car over the paper's bump."""
     bump = Bump()
     middle = bump.length / 2  # under the front wheel
-    high = 280  # units of the drawing per metre: four times what lengths have
+    high = 280  # units of the drawing per metre of height, four times those per metre of length
 
     def road(place: float) -> float:
         return high * float(bump.displacement(np.array((place + middle) / bump.speed)))
@@ -411,7 +503,7 @@ def car() -> str:
 def drawn() -> list[tuple[str, str, str, Path]]:
     """Returns every picture that a command on a page draws: its file, what it shows, the command, the page."""
     pictures = []
-    for path in sorted((HERE / "how-to").glob("*.md")):
+    for path in sorted(path for part in ("how-to", "explanation") for path in (HERE / part).glob("*.md")):
         text = path.read_text(encoding="utf-8")
         shown = dict((name, alt) for alt, name in re.findall(r"!\[([^\]]*)\]\([^)]*/([^/)]+)\)", text))
         for line in re.findall(r"^python -m .*--picture \S+.*$", text, re.M):
@@ -425,11 +517,10 @@ def drawn() -> list[tuple[str, str, str, Path]]:
 
 def gallery() -> str:
     """Returns the page of pictures, with the command that draws each."""
-    text = "# Gallery of pictures\n\nEach picture comes out of the command below it, which a test runs.\n"
+    text = "# Gallery of pictures\n\nThe command below each picture draws it. The tests run every command.\n"
     for name, alt, line, path in drawn():
-        text += (
-            f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it](how-to/{path.name}).\n\n```text\n{line}\n```\n"
-        )
+        page = path.relative_to(HERE).as_posix()
+        text += f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it]({page}).\n\n```text\n{line}\n```\n"
     return text
 
 
@@ -439,7 +530,7 @@ def cells(path: Path) -> list[Mapping[str, Any]]:
 
 
 def notebook(path: Path) -> str:
-    """Returns a notebook as a page, with the text that its cells printed."""
+    """Returns a notebook as a page, with the printed output of its cells."""
     text = ""
     for one in cells(path):
         source = "".join(one["source"])

@@ -8,7 +8,7 @@ Public names, imported when they are first used; all units are SI:
 - a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
   `BodyLoad`, `Invariant`, `GRAVITY`
 - a law of your own: `LinearLaw`
-- bad input of any kind: `InputError`, whose message is one line that says what to do
+- bad input of any kind: `InputError`, whose message is one line with the cause and the repair
 
 All other names may move without notice.
 """

@@ -26,9 +26,8 @@ COMMANDS = (  # name, its purpose, the options that one reaches for first
     ("sim.inspect", "recompute a logged run and check its results", "--csv --kinds"),
 )
 EPILOG = """
-Most commands take --vehicle FILE and --controller NAME. All take --json, and
---help lists their options with units and defaults. A number may have its own unit,
-as in --speed 90km/h --height "60 mm", in vehicle files, too.
+Most commands take --vehicle FILE and --controller NAME, and all take --json. `roadproof NAME --help` lists the options of a
+command with units and defaults. Numbers may have units, as in --speed 90km/h --height "60 mm"; vehicle files accept units, too.
 exit code: 0 success; 1 a failed claim; 2 invalid input; 130 interrupted
 
 examples:
@@ -50,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words and not words[0].startswith("-"):
         raise InputError(f"unknown command {words[0]!r}; roadproof has {listing(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG)
-    parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and of its packages")
+    parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and its packages")
     options = parser.parse_args(arguments)
     if options.version:
         own_first = sorted(versions().items(), key=lambda one: one[0] != "roadproof")

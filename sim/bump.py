@@ -5,9 +5,61 @@ if __name__ == "__main__":
 
     run("sim.bump")
 
+import argparse
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from sim.command.bump_options import checked_road, parser, words
+from models.common.command import Parser
+from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
+from sim.command.road_options import add_run_options, add_vehicles
+
+if TYPE_CHECKING:
+    from models.common.arrays import Array
+    from models.roads.road import Bump
+    from models.vehicle.vehicle import Vehicle
+
+EPILOG = """
+exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
+cannot be designed; 2 invalid input
+
+examples:
+  python -m sim.bump --controller I
+  python -m sim.bump --controller I --controller II --height 0.05
+  python -m sim.bump --controller all --serve
+  python -m sim.bump --controller mine --vehicle my_car.toml --json
+  python -m sim.bump --controller mine --vehicle my_car.toml --vehicle van.toml --without noise
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.bump", "Drive over one bump in MuJoCo and in linear analysis, compare the responses, and record them.", EPILOG
+    )
+    add_vehicles(parser)
+    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
+    parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
+    parser.add_argument(
+        "--track", choices=("left", "right", "both"), default="both", help="side of the vehicle with the bump (default: both)"
+    )
+    add_run_options(parser, 3.0)
+    return parser
+
+
+def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Bump":
+    """Returns the requested bump, if a vehicle can be driven over it at these sample times [s]."""
+    from models.roads.road import Bump
+
+    road = Bump(options.height, options.length, options.speed, options.track)
+    road.check(vehicle, time)
+    return road
+
+
+def words(road: "Bump") -> str:
+    """Returns a bump in words."""
+    wheels = "" if road.track == "both" else f", {road.track} wheels only"
+    return f"a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s{wheels}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -19,4 +71,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from sim.command.driving import drive
 
-    return drive(options, checked_road, words)
+    return drive(options, requested_road, words)

@@ -8,13 +8,15 @@ if __name__ == "__main__":
 import functools
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.common.command import one_chosen
+from models import USUAL_TIMESTEP
+from models.common.command import Parser, one_chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from models.vehicle.names import PLUS, named_files
-from sim.command.envelope_options import nearest_run, parser
+from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED, PLUS, named_files
+from sim.command.road_options import add_loads
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -24,6 +26,41 @@ if TYPE_CHECKING:
     from sim.runs.run import Run
     from sim.studies.validity.regime_map import Cells
     from synth.controller.controller import Controller
+
+
+EPILOG = """
+exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it first reaches another limit; 2 invalid input;
+130 interrupted
+
+examples:
+  python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
+  python -m sim.envelope --controller I --vary height:0.02:0.6:30 --speed 12.5
+  python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.envelope", "Map the bumps over which linear analysis is valid, and the limits of the others.", EPILOG)
+    parser.add_one("passive, state, or a controller of the vehicle file")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        metavar="NAME:LOW:HIGH:COUNT",
+        help="axis of the map: height [m], length [m] or speed [m/s], for example height:0.02:0.3:20; give one or two axes",
+    )
+    parser.add_number("--height", BUMP_HEIGHT, "m", "bump height, if not varied")
+    parser.add_number("--length", BUMP_LENGTH, "m", "bump length, if not varied")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle, if not varied")
+    add_loads(parser, "load on the body over every bump")
+    parser.add_number("--threshold", 0.05, "-", "largest error with which linear analysis counts as valid, relative to the peak")
+    parser.add_number("--duration", 3.0, "s", "duration of each run")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    parser.add_logs("the runs closest to each limit")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the numbers of every cell (.csv)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png or .svg); needs matplotlib")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
-            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; leave one of them out")
+            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; omit one of them")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)
@@ -87,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not controller.certificate.stable:
             lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
         ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", *ends, "", *envelope_lines(cells, options.threshold)])
+        say([*lines, *written_lines(outputs), *log_lines([logs]), "", *ends, "", *envelope_lines(cells, options.threshold)])
     return 0 if cells.as_predicted else 1
 
 
@@ -106,9 +143,9 @@ def _nearest_runs(
         mine = np.flatnonzero(cells.first == end)
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
-            (nearest[nearest_run(controller.name, end)],) = run_controllers(
-                vehicle, [controller], loaded(cells.bumps[i], loads), time
-            )
+            what = "nothing breaks" if end < 0 else END_NAMES[end]
+            (run,) = run_controllers(vehicle, [controller], loaded(cells.bumps[i], loads), time)
+            nearest[f"{controller.name}_{what}".replace(" ", "_").replace("-", "_")] = run
     return nearest
 
 

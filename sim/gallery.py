@@ -12,13 +12,11 @@ from models.common.command import Parser
 from models.common.printed import Stages, say
 
 EPILOG = """
-Each row has the number that a source prints, ours by linear analysis, and the one
-of a run in MuJoCo where a run shows it. A number is reproduced if ours rounds to
-all its printed digits. Where it differs, the row says why. The grid's number is ours at
-the samples of the source's own plot. `sim.report --gallery` is a page of it.
+Each row contains the published number, the number from linear analysis and, if a run measures it, the number from MuJoCo. A
+number is reproduced if ours rounds to all published digits. Otherwise the row gives the reason. The number marked grid is ours at
+the samples of the published plot. `sim.report --gallery` writes these results as a page.
 
-exit code: 0 every number is reproduced or differs for a reason, 1 some does not,
-2 bad input, 130 interrupted
+exit code: 0 every number is reproduced, or differs for a known reason; 1 a number differs; 2 invalid input; 130 interrupted
 
 examples:
   python -m sim.gallery
@@ -28,10 +26,10 @@ examples:
 
 def parser() -> Parser:
     """Returns the command-line parser."""
-    parser = Parser("sim.gallery", "Compares numbers that others printed of suspensions with ours.", EPILOG)
-    parser.add_argument("name", nargs="*", metavar="NAME", help="entry of the gallery (default: all)")
+    parser = Parser("sim.gallery", "Compare published results on suspensions with the results of Roadproof.", EPILOG)
+    parser.add_argument("name", nargs="*", metavar="NAME", help="entry of the gallery, such as mathworks (default: all)")
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("--brief", action="store_true", help="print a line for each entry")
+    printed.add_argument("--brief", action="store_true", help="print one line for each entry")
     printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

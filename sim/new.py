@@ -15,11 +15,10 @@ from models.common.errors import InputError
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
 TYPES = ("quarter_car", "half_car")
 EPILOG = """
-The file has parameters of an ordinary car, limits, sensors with noise, a sample period
-and a delay, and designs for them. A comment behind each line says what to put there.
-It never replaces a file.
+The file contains the parameters of an ordinary car, limits, sensors with noise, a sample period and a delay, and controllers
+designed for them. A comment on each line explains the value. The command never replaces an existing file.
 
-exit code: 0 written; 2 bad input
+exit code: 0 the file is written; 2 invalid input
 
 examples:
   python -m sim.new my_car.toml
@@ -29,9 +28,9 @@ examples:
 
 def parser() -> Parser:
     """Returns the command-line parser."""
-    parser = Parser("sim.new", "Writes a commented vehicle file, with which every command runs.", EPILOG)
-    parser.add_argument("file", type=Path, metavar="FILE", help="the file to write, such as my_car.toml")
-    parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"type of the vehicle (default: {TYPES[0]})")
+    parser = Parser("sim.new", "Write a commented vehicle file that works with every command.", EPILOG)
+    parser.add_argument("file", type=Path, metavar="FILE", help="file to write, such as my_car.toml")
+    parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"vehicle type (default: {TYPES[0]})")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

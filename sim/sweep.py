@@ -7,18 +7,47 @@ if __name__ == "__main__":
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from models import USUAL_TIMESTEP
+from models.common.command import Parser, chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from sim.command.road_options import left_out_lines, omitted_controllers
-from sim.command.sweep_options import parser, requested_names, worst_road, worst_times
+from sim.command.road_options import USUAL, add_exported, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
     from sim.studies.frequency.describing_function import DescribingFunction
     from sim.studies.frequency.sweep import Sweep
+
+
+EPILOG = """
+Linear analysis does not apply to a control law in Python. The law runs over one sinusoid at a time, and the output contains the
+fundamental and the energy at other frequencies.
+exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, or every run of a law
+diverged, so that nothing is measured; 2 invalid input
+
+examples:
+  python -m sim.sweep --picture sweep.png
+  python -m sim.sweep --controller I --amplitude 0.05
+  python -m sim.sweep --vehicle half_car --controller all --json
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser("sim.sweep", "Measure frequency responses in MuJoCo and compare them with linear analysis.", EPILOG)
+    parser.add_controller_and_vehicle("default: passive, state, I and II")
+    parser.add_number("--amplitude", 1e-4, "m", "largest height of each road; a larger height can reach the vehicle's limits")
+    parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; matters only if there are rear wheels")
+    parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    add_exported(parser)
+    parser.add_logs("each controller over its worst sinusoid")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png or .svg); needs matplotlib")
+    parser.add_printed("every signal, invariant and road of each controller, as for a single controller")
+    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,12 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from synth.vehicle.designer import Designer
 
     given = read_vehicle(options.vehicle)
-    names = requested_names(given, options)
+    usual = [name for name in USUAL if name in given.controller_names]
+    names = chosen(given.controller_names, options.controller, usual)
     vehicle = given.for_all(names)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
-        raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; leave it out")
+        raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; omit it")
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
@@ -111,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             [
                 *lines,
                 *written_lines(outputs),
-                *log_lines(logs),
+                *log_lines([logs]),
                 *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
                 "",
                 *summary_lines(sweeps),
@@ -122,12 +152,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _worst_runs(vehicle: "Vehicle", sweeps: "Sequence[Sweep | DescribingFunction]", options: Any) -> "dict[str, Run]":
     """Every controller on its worst sinusoid, from rest, to be recorded."""
-    from sim.runs.run import run_controllers
+    from models.roads.sinusoids import sinusoid
+    from sim.runs.run import run_controllers, sample_times
     from sim.studies.frequency.identification import ideal_measurements
+    from sim.studies.frequency.worst_case_gain import DURATION
 
     vehicle, runs = ideal_measurements(vehicle), {}
-    time = worst_times(vehicle, options)
+    time = sample_times(vehicle, DURATION, options.timestep)
     for one in sweeps:
-        road = worst_road(one.worst_omega, options)
+        road = sinusoid(one.worst_omega, options.speed).scaled(options.amplitude / 2)
         (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
     return runs

@@ -36,10 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
         complain(doubt)
     if options.export is not None:
-        from synth.command.export_file import SUFFIXES, export_file
-
-        if options.export.suffix.lower() in SUFFIXES:
-            return export_file(vehicle, options)
         from synth.command.export import export
 
         return export(vehicle, options)
@@ -67,7 +63,7 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     designed = [entry.name for entry in linear if goes("zero_l", entry.parts)]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
-        raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")
+        raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; omit it")
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
         if options.zero_l and name in vehicle.controllers:
@@ -75,5 +71,5 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
         elif options.zero_l:
             raise InputError(f"--zero-l: {name!r} is not designed in two steps; this vehicle has {listing(designed)}")
     if options.refine and list(names) == ["passive"]:
-        raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")
+        raise InputError("--refine: passive has no gain to refine; give another controller, or omit --refine")
     return list(names)

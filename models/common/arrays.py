@@ -28,7 +28,7 @@ def check_unmasked(name: str, value: object) -> None:
         InputError: a value is masked; the message names the array.
     """
     if is_masked(value):
-        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or leave them out")
+        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or omit them")
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:
@@ -36,14 +36,14 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
 
     Args:
         value: the matrix, or nested lists; complex numbers without imaginary part are allowed.
-        largest: allowed size of an entry; infinite for no limit.
-        expected: its shape, for messages; empty if any is allowed.
+        largest: limit on the magnitude of an entry; infinite for no limit.
+        expected: shape required, in words for messages; empty if any shape is allowed.
 
     Returns:
         The matrix, and the size of its largest entry, which callers need, too: computing it takes as long as the check.
 
     Raises:
-        InputError: it is not such a matrix; the message names it.
+        InputError: the value is not such a matrix; the message names the argument.
     """
     check_unmasked(name, value)
     try:

@@ -42,7 +42,7 @@ AT_LEAST_ONE = Must(", at least one", lambda value: len(value) > 0)
 Positive = Annotated[float, Must("a number above 0", lambda value: 0 < value < math.inf)]
 NotNegative = Annotated[float, Must("a number from 0 upwards", lambda value: 0 <= value < math.inf)]
 Bound = Annotated[float, Must("a number above 0, or infinity", lambda value: value > 0)]
-Index = Annotated[int, Must("a whole number from 0 upwards", lambda value: value >= 0)]
+Index = Annotated[int, Must("an integer from 0 upwards", lambda value: value >= 0)]
 Vector = Annotated[Array, Must("a list of finite numbers", lambda value: value.ndim == 1 and bool(np.isfinite(value).all()))]
 Matrix = Annotated[Array, Must("a matrix of finite numbers", lambda value: value.ndim == 2 and bool(np.isfinite(value).all()))]
 Name = Annotated[str, Must("letters, digits and '_', no digit first", str.isidentifier)]
@@ -54,7 +54,7 @@ WORDS: Mapping[Any, str] = {
     Path: "a path",
     bool: "True or False",
     float: "a number",
-    int: "a whole number",
+    int: "an integer",
     str: "a text",
 }
 

@@ -36,7 +36,8 @@ def _versions() -> dict[str, str]:
     return versions_by_name
 
 
-ALL = "all"  # in place of a controller's name
+ALL = "all"  # instead of a controller's name
+PAGES = {"sim": "docs/which-command.md", "sim.gallery": "docs/explanation/verification.md"}  # of commands without a how-to page
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,11 +47,11 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         self.module = prog
-        page = f"docs/how-to/{prog.rpartition('.')[2]}.md" if prog != "sim" else "docs/which-command.md"
+        self.page = PAGES.get(prog, f"docs/how-to/{prog.rpartition('.')[2]}.md")
         super().__init__(
             prog=self._called(f"python -m {prog}"),
             description=_page(description),
-            epilog=_page(f"{self._called(epilog).rstrip()}\n\nwhat it prints and how to read it: {page}"),
+            epilog=_page(f"{self._called(epilog).rstrip()}\n\nwhat it prints and how to read it: {self.page}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -61,7 +62,7 @@ class Parser(argparse.ArgumentParser):
         self.register("action", None, _Once)
         self.register("action", "store", _Once)
         self.register("action", "store_true", _Flag)
-        self.add_argument(TRACEBACK, action="store_true", help="show where an error comes from, for a report of it")
+        self.add_argument(TRACEBACK, action="store_true", help="show the traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
@@ -87,14 +88,14 @@ class Parser(argparse.ArgumentParser):
 
         Args:
             default: the controllers without `--controller`.
-            several: what several `--vehicle` are for, which are `vehicles` then; empty for commands that take one.
+            several: purpose of several `--vehicle`, whose attribute is then `vehicles`; empty for commands that take one vehicle.
         """
         self.add_argument(
             "--controller",
             action="append",
             type=_name,
             metavar="NAME",
-            help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
+            help=f"passive, state, a controller of the vehicle file, or all; may be repeated ({default})",
         )
         if several:
             self.add_argument(
@@ -103,23 +104,22 @@ class Parser(argparse.ArgumentParser):
                 action=_Vehicles,
                 default=("quarter_car",),
                 metavar="FILE",
-                help=f"vehicle file, or one that ships; may be repeated: {several} (default: quarter_car)",
+                help=f"vehicle file, or name of a built-in vehicle; may be repeated, for {several} (default: quarter_car)",
             )
         else:
             self._add_vehicle()
 
     def add_one(self, which: str) -> None:
         """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
-        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which}. Required")
+        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} (required)")
         self._add_vehicle()
 
     def _add_vehicle(self) -> None:
-        self.add_argument(
-            "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
-        )
+        meaning = "vehicle file, or name of a built-in vehicle (default: quarter_car)"
+        self.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option that takes a finite number, or one with its unit, such as 90km/h; `unset` says what None does."""
+        """Adds an option that takes a finite number, or a number with its unit, such as 90km/h; `unset` describes None."""
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
         self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
@@ -131,15 +131,15 @@ class Parser(argparse.ArgumentParser):
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """Adds an option that takes a whole number from `low` to `high`, or several; `unset` is its default."""
+        """Adds an option that takes an integer from `low` to `high`, or several; `unset` is its default."""
 
         def count(text: str) -> int:
             try:
                 value = int(text)
             except ValueError:
-                raise argparse.ArgumentTypeError(f"{text!r} is not a whole number; give one from {low} to {high}") from None
+                raise argparse.ArgumentTypeError(f"{text!r} is not an integer; give one from {low} to {high}") from None
             if not low <= value <= high:
-                raise argparse.ArgumentTypeError(f"{text} is not allowed; give a whole number from {low} to {high}")
+                raise argparse.ArgumentTypeError(f"{text} is not allowed; give an integer from {low} to {high}")
             return value
 
         nargs = "+" if many else None
@@ -153,14 +153,14 @@ class Parser(argparse.ArgumentParser):
             brief: help of `--brief`; empty for a command without it.
         """
         printed = self.add_mutually_exclusive_group()
-        printed.add_argument("-v", "--verbose", action="store_true", help=f"print {what}, too")
+        printed.add_argument("-v", "--verbose", action="store_true", help=f"also print {what}")
         if brief:
             printed.add_argument("--brief", action="store_true", help=brief)
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
-        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
+        self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
 def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
@@ -182,7 +182,7 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
     if not given and not usual:
         raise InputError(f"no controller is given; give --controller with one of: {ALL}, {', '.join(names)}")
     if given and ALL in given and len(given) > 1:
-        raise InputError(f"--controller {ALL} includes every controller; give it alone, or leave it out")
+        raise InputError(f"--controller {ALL} includes every controller; give it alone, or omit it")
     if given == [ALL]:
         return list(names)
     return list(given or usual)
@@ -195,17 +195,17 @@ def chosen_of(
 
     Args:
         vehicles: all controllers of each vehicle, by a key of the vehicle.
-        given, usual: as for `chosen`.
+        given, usual: names on the command line and default names, as in `chosen`.
 
     Raises:
-        InputError: as for `chosen`, or a vehicle has none of the controllers.
+        InputError: bad names as in `chosen`, or a vehicle without any of the controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen(known, given, usual)
     selected = {key: [name for name in every if name in names] for key, names in vehicles.items()}
     for key, names in vehicles.items():
         if not selected[key]:
-            raise InputError(f"--vehicle {key} has none of the controllers {listing(every)}; it has {listing(names)}")
+            raise InputError(f"--vehicle {key} does not have any of the controllers {listing(every)}; it has {listing(names)}")
     return selected
 
 
@@ -279,7 +279,7 @@ def _example(line: str) -> list[str]:
 
 def _text(text: str) -> str:
     if not text.strip():
-        raise argparse.ArgumentTypeError("is empty; give it a value or leave the option out")
+        raise argparse.ArgumentTypeError("is empty; give a value or omit the option")
     return text
 
 

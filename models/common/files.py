@@ -25,7 +25,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Returns the tables of a TOML text.
 
     Raises:
-        InputError: it is not TOML.
+        InputError: the text is not TOML.
     """
     try:
         return tomllib.loads(text)
@@ -50,7 +50,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
         instead: advice if it cannot be written, for the message.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     target = _target(path, what, instead)
     stream = _is_stream(target)
@@ -87,14 +87,14 @@ def together() -> Iterator[None]:
     """Renames all files that `whole_file` writes in this block at its end; none of them if the block fails.
 
     Raises:
-        InputError: they cannot be renamed.
+        InputError: the files cannot be renamed.
     """
     waiting: list[tuple[Path, Path]] = []
     token = _waiting.set(waiting)
     try:
         yield
         for beside, target in waiting:
-            with _writing(target, "output", "mend that and try again"):
+            with _writing(target, "output", "fix the cause and try again"):
                 beside.replace(target)
     finally:
         _waiting.reset(token)
@@ -106,7 +106,7 @@ def check_file(path: Path, what: str, instead: str = "give another") -> None:
     """Checks that a file can be written, before a long run.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     target = _target(path, what, instead)
     if not _is_stream(target):
@@ -117,7 +117,7 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
     """Checks that a folder exists or can be made, and that files can be written in it. Leaves nothing behind.
 
     Raises:
-        InputError: it cannot be made, or files cannot be written in it.
+        InputError: the folder cannot be created, or files cannot be written in it.
     """
     existing = next(folder for folder in (path.absolute(), *path.absolute().parents) if os.path.lexists(folder))
     if not existing.is_dir():
@@ -131,7 +131,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
     """Makes a folder and its missing parents. If the block fails, removes the empty ones among them.
 
     Raises:
-        InputError: it cannot be made, or files cannot be written in it.
+        InputError: the folder cannot be created, or files cannot be written in it.
     """
     check_folder(path, what, instead)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -161,7 +161,7 @@ def _target(path: Path, what: str, instead: str) -> Path:
     """Returns the target of a path, links resolved.
 
     Raises:
-        InputError: it is a folder or read-only, or its folder does not exist.
+        InputError: the path is a folder or read-only, or its folder does not exist.
     """
     target = path if _is_stream(path) else Path(os.path.realpath(path))
     if target.is_dir():
@@ -199,8 +199,8 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
 
     Args:
         path: the file that the block reads.
-        purpose: what the file is for, such as "road profile".
-        give: what to do instead, for the message.
+        purpose: purpose of the file, such as "road profile".
+        give: advice for the message: what to do instead.
 
     Raises:
         InputError: the block failed. An InputError of the block keeps its own words, after the purpose and the path.
@@ -227,7 +227,7 @@ def read_bytes(path: Path, purpose: str, give: str = "give another file") -> byt
     """Returns the content of a file, a link to one, or a pipe.
 
     Raises:
-        InputError: it does not exist, or cannot be read.
+        InputError: the file does not exist, or cannot be read.
     """
     with reading(path, purpose, give):
         return path.read_bytes()
@@ -237,7 +237,7 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
     """Returns the text of a file in UTF-8, with or without a byte order mark; lines end with a line feed.
 
     Raises:
-        InputError: it does not exist, cannot be read, or is not text in UTF-8.
+        InputError: the file does not exist, cannot be read, or is not text in UTF-8.
     """
     content = read_bytes(path, purpose, give)
     with reading(path, purpose, give):

@@ -40,7 +40,7 @@ def cell(value: float | None, form: str, unit: str = "") -> str:
 
 
 def as_name(name: str) -> str:
-    """Returns a controller's name as it stands in a sentence: in backticks, of which a page makes code and a picture quotes."""
+    """Returns a controller's name for a sentence: in backticks, which a page shows as code and a picture as quotes."""
     return f"`{name}`"
 
 
@@ -208,7 +208,7 @@ def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = 
     """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long has its own line.
 
     Args:
-        rows: each with the same number of cells, the first one a name; or a text that spans all columns.
+        rows: rows with the same number of cells, the first of each a name; or a text that spans all columns.
         indent: prefix of every line.
         tight: True for a single space between columns if more names fit then.
     """
@@ -281,7 +281,7 @@ class Column(Generic[Of]):
         value: function of a result: a text, or a number in SI units.
         form: format in a table, or a function that formats the number.
         scale: factor from SI units to those of a table.
-        key: in JSON, in SI units; empty to leave it out.
+        key: key in JSON, for the value in SI units; empty to omit the column.
     """
 
     title: str

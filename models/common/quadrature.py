@@ -31,7 +31,7 @@ class Band:
     Attributes:
         omega: nodes, ascending [rad/s], shape (F,).
         share: quadrature weights [Hz], shape (F,): an integral over frequency is `share @ integrand`.
-        values: of the function at the nodes, shape (F, ...).
+        values: values of the function at the nodes, shape (F, ...).
         error: estimate of the largest relative error of a checked integral.
     """
 
@@ -71,10 +71,10 @@ def sample_band(
     """Returns a function at enough nodes of a band for accurate integrals of functions of its values.
 
     Args:
-        function: of frequencies [rad/s], (F,) to (F, ...).
-        checked: of frequencies, shape (F,), and the function's values there: the nonnegative integrands, shape (F, c).
+        function: function of frequencies [rad/s], (F,) to (F, ...).
+        checked: function of frequencies, shape (F,), and the values there, that returns the nonnegative integrands, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
-        poles: of the function [rad/s], complex, shape (n,); panels are short near them.
+        poles: poles of the function [rad/s], complex, shape (n,); panels are short near them.
         longest: limit of a panel [rad/s].
     """
     left, right = _panels(low, high, poles, longest)

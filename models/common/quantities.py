@@ -61,7 +61,7 @@ class Heading:
     Attributes:
         text: text of the heading.
         name: the text without its unit.
-        unit: its unit, by its usual name if it is known; empty for none.
+        unit: usual name of the unit, or the unit as written if it is unknown; empty for none.
         column: number of the column, from 1.
     """
 
@@ -82,7 +82,7 @@ class Heading:
         """Returns the size of the column's unit in SI.
 
         Args:
-            quantity: one of `QUANTITIES`.
+            quantity: quantity of the column, a key of `QUANTITIES`.
             option: name of the setting that gives the unit; empty for none.
             given: the unit that the setting gives; empty for none.
             default: the unit of a heading without one; empty if a unit is required.
@@ -107,7 +107,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
 
     Args:
-        units: those whose dimensions a unit without brackets may have.
+        units: units whose dimensions a unit without brackets may have.
         column: number of the column, from 1.
     """
     text = " ".join(text.split())

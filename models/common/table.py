@@ -35,7 +35,7 @@ class NumberTable:
         first: index of the first line of numbers.
         separator: separator of cells.
         count: number of columns.
-        give: what a file must have, for messages.
+        give: required content of the file, for messages.
     """
 
     lines: Sequence[str]
@@ -48,7 +48,7 @@ class NumberTable:
         """Returns the headings of all columns: those of the line just above the numbers, or above their line of units.
 
         Args:
-            units: those whose dimensions columns may have.
+            units: units whose dimensions columns may have.
             optional: True if a table needs no headings. A comment is then read only if it names quantities alone.
 
         Raises:
@@ -153,8 +153,8 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
     """Finds the table in a text: it begins with the first line that has a number in a column.
 
     Args:
-        give: what a file must have, for messages.
-        separator: one of `SEPARATORS`; empty to find it out from that line.
+        give: required content of the file, for messages.
+        separator: separator from `SEPARATORS`; empty to detect it in that line.
         column: number of that column, from 0.
 
     Raises:

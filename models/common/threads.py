@@ -75,7 +75,7 @@ def side_by_side(
     iterator, which abandons the running pieces and waits for them.
 
     Args:
-        pieces: of work; long ones first, so that the threads end at about the same time.
+        pieces: pieces of work; long ones first, so that the threads end at about the same time.
         abandon: ends what running pieces wait for; called if the work is abandoned.
     """
     stop, coming = threading.Event(), enumerate(pieces)

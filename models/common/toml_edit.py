@@ -100,7 +100,7 @@ def section_lines(path: Sequence[str], values: Mapping[str, Any], comment: str =
     """Returns a section as lines of TOML.
 
     Args:
-        path: its name, below the names of the sections that it is in.
+        path: name of the section, preceded by the names of the sections that contain it.
         comment: comment behind its name.
     """
     name = ".".join(map(_key, path))

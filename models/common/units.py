@@ -52,7 +52,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     """Returns a number with its unit, `70 mm` or `8Hz`, in another unit; a number alone is in that already.
 
     Args:
-        unit: of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
+        unit: unit of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
         what: name of the number, for messages.
 
     Raises:
@@ -68,7 +68,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         unknown = "the unknown unit" if size is None else "the unit"
-        expected = "a pure number is expected; leave the unit out" if pure else f"a unit of {unit} is expected"
+        expected = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
         raise InputError(f"{said} has {unknown} {quoted(written)}, and {expected}, as in {_example(unit)}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
@@ -83,14 +83,14 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     """Returns the number of a text with a number and a unit, as `quantity` does; another text or value as it is.
 
     Raises:
-        InputError: see `quantity`, or the number has no unit.
+        InputError: bad text as in `quantity`, or a number without a unit.
     """
     match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None and not (isinstance(value, str) and COMMA.match(value)):
         return value
     number = quantity(value, unit, what)
     if match and not match[2]:
-        raise InputError(f"{what} = {quoted(value)} has no unit; add it, as in {_example(unit)}, or leave the quotes out")
+        raise InputError(f"{what} = {quoted(value)} has no unit; add it, as in {_example(unit)}, or omit the quotes")
     return number
 
 

@@ -22,7 +22,7 @@ class Axis:
     """Range of an axis.
 
     Attributes:
-        low, high: its ends, low < high; both positive on a logarithmic axis.
+        low, high: ends of the axis, low < high; both positive on a logarithmic axis.
         log: True for a logarithmic axis.
     """
 

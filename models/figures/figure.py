@@ -73,11 +73,11 @@ class Curve:
 
     Attributes:
         x, y: shape (N,); NaN interrupts the line.
-        label: in the legend, where equal labels have one entry; empty for no entry.
+        label: name in the legend, where equal labels have one entry; empty for no entry.
         name: shown at the pointer on a page. Default: the label.
         color: colour as `#rrggbb`.
         dash: dash of the line.
-        marker: at every point.
+        marker: True to mark every point.
         width: width of the line [points].
         filled: True for full markers instead of hollow ones.
     """
@@ -141,7 +141,7 @@ class Shades:
     Attributes:
         x, y: shapes (N,) and (M,).
         z: shape (M, N); NaN for no value.
-        label: its name and unit.
+        label: name and unit of the shaded quantity.
     """
 
     x: Array
@@ -156,7 +156,7 @@ class Bars:
 
     Attributes:
         names: names of the bars.
-        values: their nonnegative lengths, shape (N,); NaN for no bar.
+        values: nonnegative lengths of the bars, shape (N,); NaN for no bar.
         words: text at the end of each bar.
         colors: colours of the bars.
     """
@@ -187,10 +187,10 @@ class Panel:
     """Pair of axes.
 
     Attributes:
-        title: above the axes; may have two lines.
+        title: title above the axes; may have two lines.
         xlabel, ylabel: labels with units; a panel of bars has no ylabel.
-        curves: drawn in order.
-        ground: below the curves.
+        curves: curves in the order of drawing.
+        ground: shades below the curves.
         xlog, ylog: True for a logarithmic axis.
         xticks: ticks of the horizontal axis; empty for automatic ones.
         xnames: labels of the ticks instead of numbers.
@@ -217,10 +217,10 @@ class Figure:
     Attributes:
         name: name of its file, without suffix.
         title: caption that explains how to read it.
-        panels: in rows.
+        panels: panels in rows.
         columns: number of columns of panels.
         size: size of one panel [inches].
-        finding: its result in one sentence, or empty.
+        finding: result in one sentence, or empty.
     """
 
     name: str
@@ -243,7 +243,7 @@ def thinned(y: Array, every: int) -> Array:
 
     Args:
         y: shape (N,), N at least 1.
-        every: at least 1; with 1 all points are drawn.
+        every: step of the thinning, at least 1; with 1 all points are drawn.
     """
     if every == 1:
         return np.arange(len(y))

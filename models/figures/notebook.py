@@ -57,7 +57,7 @@ def gain_panel(title: str, omega: Array, curve: Array, levels: dict[str, float])
     Args:
         omega: frequencies [rad/s], shape (N,).
         curve: largest singular value at each, shape (N,).
-        levels: at most two levels by name.
+        levels: horizontal lines by name, at most two.
     """
     dashes: tuple[Dash, ...] = ("dash", "dot")
     lines = [

@@ -71,7 +71,7 @@ class Table:
 
     Attributes:
         name: name of its CSV file, without suffix.
-        caption: what it shows.
+        caption: description of the table's content.
         headings: headings of the columns.
         rows: cells as text; the first is the row's name.
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
@@ -129,7 +129,7 @@ class Section:
         title: the reader's question.
         term: the field's term for it.
         text: paragraphs.
-        tables, figures: below the text.
+        tables, figures: content below the text.
     """
 
     title: str
@@ -222,7 +222,7 @@ def write_page(page: Page, path: Path) -> None:
     """Writes the page whole, or not at all.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the page cannot be written.
     """
     with whole_file(path, "report") as beside:
         beside.write_text(render(page), encoding="utf-8", newline="\n")

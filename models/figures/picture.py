@@ -41,7 +41,7 @@ def check_drawing() -> None:
     try:
         _matplotlib()
     except ImportError:
-        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
+        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
 
 
 def _matplotlib() -> Any:
@@ -62,7 +62,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
     """Writes a figure to every path, each whole or not at all. Equal figures give equal bytes.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the picture cannot be written.
     """
     matplotlib = _matplotlib()
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Tables and sentences for reading: short, aligned, in one notation. The data itself, as CSV and JSON have it, is unchanged."""
+"""Tables and sentences for reading: short, aligned, in one notation. The data in CSV and JSON is unchanged."""
 
 import csv
 import io
@@ -114,7 +114,7 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
 
 
 def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
-    """Returns a column with footnote marks in place of long remarks that occur in several rows."""
+    """Returns a column with footnote marks instead of long remarks that occur in several rows."""
     often = Counter(column)
     iterator = iter(marks)
     cells = []

@@ -26,7 +26,7 @@ class Strut:
     Attributes:
         place: position along the view [m].
         name: name of the wheel; empty for a single wheel.
-        parts: between body and wheel, or road.
+        parts: springs, dampers and actuators between body and wheel, or between wheel and road.
         mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` touch the road.
         tyre: parts between wheel and road.
         stopped: True with bump stops.

@@ -34,7 +34,7 @@ def drawn_text(text: str) -> str:
 
 
 def quoted_code(text: str) -> str:
-    """Returns a text with quotes in place of backticks, where no other font can show a name."""
+    """Returns a text with quotes instead of backticks, where no other font can show a name."""
     return text.replace("`", "'")
 
 

@@ -62,13 +62,13 @@ class Parameter(Checked):
     Attributes:
         name: key under `[parameters]`.
         unit: SI unit.
-        meaning: one line.
+        meaning: description in one line.
         positive: True if zero is refused too. Infinite, NaN and absurdly large values always are.
-        varied: its variation in robustness analysis; None for a fixed parameter.
+        varied: variation in robustness analysis; None for a fixed parameter.
         largest: largest allowed value.
         usual: default value; None for a parameter without one.
         smallest: smallest allowed value; None for 0, or the least positive one.
-        optional: True if a vehicle file may leave it out, which is not the same as any value.
+        optional: True if a vehicle file may omit it, which is not the same as any value.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Parameter(Checked):
         """Returns the value as a float.
 
         Raises:
-            InputError: not a number of the allowed range.
+            InputError: the value is not a number of the allowed range.
         """
         smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         return number_within(self.name, value, smallest, self.largest, self.unit)
@@ -179,7 +179,7 @@ class Suspension(Checked):
 
     Attributes:
         deflection: signal of its extension.
-        tendon: its MJCF tendon; its bump stop lies beside it.
+        tendon: name of the MJCF tendon; the bump stop is parallel to it.
         force: input that pushes along it; empty for a passive one.
         stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
     """
@@ -250,12 +250,12 @@ class VehicleKind(Checked):
         linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
         static_tyre_deflection: parameters -> compression of each tyre at rest [m], by tyre deflection signal. The wheel is off
             the ground if its tyre deflection, or the equivalent one of a damping tyre (`DampedTyre`), exceeds it.
-        write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits its argument: no import of MuJoCo.
+        write_mjcf: function that writes the parameters into an `MjSpec` of the kind's `.xml`, without an import of MuJoCo.
         folder: folder of its `.xml`.
-        check_together: raises InputError if valid single parameters are not a vehicle together.
+        check_together: function that raises InputError if valid single parameters are not a vehicle together.
         combined: signals without a sensor that are sums of others, as {name: {other signal: factor}}.
-        suspended: its suspensions. None: one for every signal `suspension_deflection...`, with the tendon `suspension...` and,
-            if there is one, the force `control_force...` of the same suffix.
+        suspended: suspensions of the kind. None: one for every signal `suspension_deflection...`, with the tendon `suspension...`
+            and, if present, the force `control_force...` of the same suffix.
         invariants: transmissibilities that no suspension force can change.
         on_demand: signals that a vehicle has only if its file names them: outputs and sensors like the others, without cost if
             they are not named.
@@ -375,7 +375,7 @@ class VehicleKind(Checked):
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
         """Returns the invariants of a vehicle: those of its kind, or none if a tyre damps.
 
-        With c s + k in place of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
+        With c s + k instead of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
@@ -413,7 +413,7 @@ class VehicleKind(Checked):
         """Returns all parameters, each checked by itself, in the kind's order.
 
         Raises:
-            InputError: one is missing, unknown or not allowed.
+            InputError: a parameter is missing, unknown or not allowed.
         """
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
@@ -431,7 +431,7 @@ class VehicleKind(Checked):
         """Returns all parameters, checked, in the kind's order.
 
         Raises:
-            InputError: see `check_each`; or together they are not a vehicle, or fully compress a tyre at equilibrium.
+            InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
         """
         checked = self.check_each(parameters)
         self.check_together(checked)

@@ -215,7 +215,7 @@ class LinearModel:
         """Returns the rows of C and D of some output signals, shapes (k, n) and (k, m).
 
         Raises:
-            InputError: this vehicle has no such signal.
+            InputError: the vehicle does not have such a signal.
         """
         for signal in signals:
             if signal not in self.outputs:

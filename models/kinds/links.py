@@ -84,8 +84,8 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
     Args:
         corners: names of the corners, an axle's or with its side.
         way: `roll_load` for a force to the right, `pitch_load` for one forwards.
-        force: on the body, at its centre of mass [N]: of inertia, or of wind.
-        acceleration: against which the wheels' mass pushes the same way [m/s2]; 0 for wind.
+        force: force on the body at its centre of mass [N]: inertial force or wind.
+        acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.
     """
     if not wheel_loads(p, corners):
         return {}
@@ -120,7 +120,7 @@ def check_links(p: Parameters) -> None:
     if len(given) == 1:
         other = next(part.name for part in ROLL_CENTRES if part.name not in p)
         raise InputError(
-            f"{given[0]} is given and {other} is not; the body rolls about the axis through both: give both, or none"
+            f"{given[0]} is given and {other} is not; the body rolls about the axis through both: give both, or neither"
         )
 
 

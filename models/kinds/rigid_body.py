@@ -52,7 +52,7 @@ from models.kinds.strut_and_tyre import write_strut, write_tyre
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
-    "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
+    "centre_height", "m", "h, of the body's centre of mass above the ground: braking and cornering apply m_s a h", usual=0.55
 )
 AXLES = ("front", "rear")
 
@@ -71,7 +71,8 @@ class Corner:
     Attributes:
         name: suffix of its signals and of its elements in the MJCF.
         x, y: position from the centre of mass [m].
-        unsprung_mass: [kg].    suspension_stiffness, tyre_stiffness: [N/m].    suspension_damping, tyre_damping: [N s/m].
+        unsprung_mass, suspension_stiffness, tyre_stiffness: mass [kg] and stiffness [N/m].
+        suspension_damping, tyre_damping: damping coefficients [N s/m].
     """
 
     name: str
@@ -115,11 +116,11 @@ class RigidBody:
     Attributes:
         corners: c of them.
         mass: sprung mass [kg].
-        pitch_inertia: about the lateral axis through the centre of mass [kg m2].
-        roll_inertia: about the longitudinal axis [kg m2]; None for a body that does not roll.
+        pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2].
+        roll_inertia: moment of inertia about the longitudinal axis [kg m2]; None for a body that does not roll.
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
         twist: n, shape (c,); zero if the body can follow every motion of the wheels.
-        bars: its anti-roll bars.
+        bars: anti-roll bars of the body.
         pitch_arm, roll_arm: heights of the centre of mass over the axes that links give it [m]; without one it turns about its
             centre of mass, and its weight has no moment.
         wheel_loads: loads on its wheels.
@@ -201,9 +202,9 @@ def linear_model(
         states: (d, P t, q', z_u'), c + p + k + c of them.
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
-        outputs: in this order: the states, the tyre deflections unless they are states, q'', the body's velocity and
-            acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above each
-            corner, and of the wheels.
+        outputs: output signals in this order: the states, the tyre deflections unless they are states, q'', the body's velocity
+            and acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above
+            each corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -372,7 +373,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Returns the tendon whose length is the deflection of a guided wheel, in place of a strut of that name."""
+    """Returns the tendon whose length is the deflection of a guided wheel, instead of a strut of that name."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

@@ -56,13 +56,13 @@ class RigidMotion:
     """Equations of motion of a body on c struts with k of heave, pitch and roll. The states are q, z_u and their rates.
 
     Attributes:
-        body: its masses, places and elements.
+        body: masses, geometry and elements of the body.
         shape: S of `RigidBody`, or its first columns, shape (c, k).
         yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
-        names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
+        names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. For a body that only
-            heaves: its acceleration and that of its hub, and both heights.
+            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. A body that only
+            heaves has one acceleration and height, and those of its hub.
     """
 
     body: RigidBody
@@ -239,7 +239,7 @@ def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[S
 
     Args:
         signals: deflections of its c suspensions, of its c tyres, its own rates, as many as it has, and those of its c hubs.
-        further: see `RigidMotion`.
+        further: additional signals, as in `RigidMotion`.
     """
     inertias = [body.pitch_inertia] + ([] if body.roll_inertia is None else [body.roll_inertia])
     rates = len(signals) - 3 * len(body.corners)

@@ -14,7 +14,7 @@ class Signal(Checked):
         name: the name in all models, files and plots.
         symbol: symbol in the paper, or in the field.
         unit: SI unit.
-        meaning: one line, with the sign convention.
+        meaning: description in one line, with the sign convention.
     """
 
     given_as = "a signal, such as models.signals.CONTROL_FORCE"

@@ -32,7 +32,7 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
     """Writes a suspension into an MjSpec.
 
     Args:
-        stiffness, damping: [N/m] and [N s/m].
+        stiffness, damping: stiffness [N/m] and damping [N s/m].
         load: load of the weight at equilibrium [N].
         length: length of the tendon at equilibrium [m].
     """

@@ -22,7 +22,7 @@ from models.laws.user_code import compiled, run_own
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals of a wheel
 EQUATIONS = ("linear_model", "static_tyre_deflection", "angles", "write_mjcf")
-GIVE = "give the equations of the vehicle type, as docs/how-to/your-own-kind.md shows them"
+GIVE = "give the equations of the vehicle type, as docs/how-to/custom-vehicle-type.md shows them"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
@@ -41,7 +41,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     with _located(path):
         if not isinstance(kind, VehicleKind):
             has = f"its KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "it has no KIND"
-            raise InputError(f"{has}; end it with KIND = VehicleKind(...), as docs/how-to/your-own-kind.md shows")
+            raise InputError(f"{has}; end it with KIND = VehicleKind(...), as docs/how-to/custom-vehicle-type.md shows")
         if kind.name != name:
             raise InputError(f"its KIND is called {kind.name!r}; call it {name!r}, as its files are")
         check_parts(kind)
@@ -134,7 +134,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     for what, names in {
         "no states; give at least one": () if model.states else ("",),
         "no input {}, the force of a suspension; add it": forces - {*model.inputs},
-        "no output {}, a signal of the kind; add it, or take it out of the signals": signals - {*model.outputs},
+        "no output {}, a signal of the kind; add it, or remove it from the signals": signals - {*model.outputs},
         "an output {}, which is not a signal of the kind; add it to the signals": {*model.outputs} - signals,
         "a state or input {} that is not an output; add it to them": {*model.states, *model.inputs} - {*model.outputs},
         "a state or input {} that is a signal on demand; add it to signals": {*model.states, *model.inputs} & {*kind.unnamed},

@@ -24,7 +24,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     """Returns L of a discrete law, shape (k, m); zero without anti-windup.
 
     Args:
-        law: as it is run, see `LinearLaw.sampled`.
+        law: law as implemented, see `LinearLaw.sampled`.
 
     Raises:
         InputError: the rate is too small for the sample period, or a state that is too slow acts on no force, or hardly.
@@ -47,7 +47,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
         pass
     raise InputError(
         f"anti_windup = {law.anti_windup:g}: a state of this law that is slower than that shows in no force, or hardly, so that "
-        "nothing tells it what is clipped; take it out of the law, or give a smaller rate"
+        "nothing tells it what is clipped; remove it from the law, or give a smaller rate"
     )
 
 

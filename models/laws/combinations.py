@@ -1,4 +1,4 @@
-"""The table of what goes together in a controller's section, and with a command that is given its name.
+"""The table of compatible options in a controller's section, and of the commands that accept them.
 
 Two parts of a section, or a part and a command, go together unless `REFUSED` has a reason why not. Every message of a refused
 combination is made of this table, and so is the table of the site.
@@ -61,7 +61,7 @@ PREVIEW = "preview"  # a further one, of the state and the road ahead
 _OF_STATE = "it is of the state itself, which no sensor reads"
 _DESIGNED = "full order pid lqr lqg h2 preview"
 _GOALS = "goals tolerance family"
-_NO_CLAIM = "it is run as it is, and there is no linear claim of it"
+_NO_CLAIM = "it is used unchanged, and linear analysis does not apply to it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
         "stable",
@@ -86,17 +86,17 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("loads", _GOALS, "goals are of the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
     ("force", "pid", "it answers one measured signal for each force"),
-    ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
+    ("force", "steps", "a force does not show the state, so no gain is designed for it"),
     ("force", "lqr preview", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
     ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
-    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),
+    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "only the two steps have an L"),
     ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
     ("front", "tolerance weights family", "a front is of one vehicle without errors"),
     (
         "rates",
         f"gain states {_DESIGNED} stable anti_windup noise",
-        "it is gains of the two steps that are designed anew for a rate",
+        "only gains of the two steps are designed again for a rate",
     ),
     *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one != "force"),
 )
@@ -120,7 +120,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each as the section has it written. Values are not checked."""
+    """Returns the parts of a section, each as written in the section. Values are not checked."""
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
     parts |= {"law": "fmu"} if "fmu" in section else {}
     filtered = isinstance(structure := section.get("structure"), str) and structure in PATTERNS
@@ -151,10 +151,10 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
 
     Args:
         where: the section, for the message.
-        parts: each as it is written; kinds first.
+        parts: parts of the controller's section as written in the file; kinds first.
 
     Raises:
-        InputError: two do not; the message says why, and what each of them goes with.
+        InputError: two parts cannot be combined; the message contains the reason, and the parts that each can be combined with.
     """
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
@@ -166,15 +166,15 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
     """Checks that a command goes with all parts of a section.
 
     Args:
-        command: one of `COMMANDS`.
+        command: name of a command, a key of `COMMANDS`.
 
     Raises:
-        InputError: it does not, or the `error` that is given.
+        InputError: the parts cannot be combined, or the `error` that is given.
     """
     option = COMMANDS[command].strip("`")
     for part, written in parts.items():
         if why := refusal(command, part):
-            raise error(f"{where}: {written} with {option}: {why}; leave {option} out, or name a controller without {written}")
+            raise error(f"{where}: {written} with {option}: {why}; omit {option}, or give a controller without {written}")
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:

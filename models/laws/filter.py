@@ -79,7 +79,7 @@ class Filter:
 
     Attributes:
         sections: numerator and denominator of each section in series, coefficients by falling powers of s.
-        name: of a known filter; empty for one that is given by its coefficients.
+        name: name of a known filter; empty for a filter that is given by its coefficients.
         integrates: True if its only section may have a pole at 0.
 
     Raises:
@@ -163,7 +163,7 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
         integrates: True if it may have a pole at 0.
 
     Raises:
-        InputError: the table is no filter.
+        InputError: the table is not a filter.
     """
     name, there = given.get("filter"), [key for key in POLYNOMIALS if key in given]
     if "filter" in given:
@@ -174,12 +174,12 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
         return Filter(WEIGHTINGS[name], name)
     if len(there) < len(POLYNOMIALS):
         raise InputError(
-            f"{where} is no filter; give numerator = [...] and denominator = [...], coefficients by falling powers of s, or "
+            f"{where} is not a filter; give numerator = [...] and denominator = [...], coefficients by falling powers of s, or "
             f"filter = {_known()}"
         )
     for key in POLYNOMIALS:
         if not isinstance(given[key], list):
-            raise InputError(f"{where} {key} = {quoted(given[key])} is no list; give its coefficients by falling powers of s")
+            raise InputError(f"{where} {key} = {quoted(given[key])} is not a list; give its coefficients by falling powers of s")
     with error_in(f"{where}:"):
         return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
 

@@ -26,7 +26,7 @@ class NormOf:
 
     Attributes:
         signals: weights by signal; None for z of `[performance]`.
-        band: from and to [Hz].
+        band: lower and upper frequency [Hz].
     """
 
     signals: Mapping[str, float] | None = None
@@ -71,9 +71,9 @@ class PeakBound:
     """Upper bound on a signal's largest magnitude over a road, in the signal's unit.
 
     Attributes:
-        signal: its name.
-        road: as `--road` takes it.
-        speed: [m/s]; None for 12.5 m/s on any road.
+        signal: name of the signal.
+        road: road in the form of `--road`.
+        speed: vehicle speed [m/s]; None for 12.5 m/s on any road.
         at_most: the bound.
     """
 
@@ -88,7 +88,7 @@ class EnergyBound:
     """Upper bound on a signal's largest magnitude over all roads of given energy, in the signal's unit.
 
     Attributes:
-        signal: its name.
+        signal: name of the signal.
         energy: the integral of the squared velocity under all wheels together [m2/s].
         at_most: the bound.
     """
@@ -121,11 +121,11 @@ class Goals:
 
     Attributes:
         minimise: the norm whose largest value over all vehicles and errors is minimised.
-        bounds: valid for all vehicles; norms and decay for all errors, too.
-        tolerance: largest relative error of each measured signal, and each force, independent of one another, as the file
-            has it; see `force_error`.
+        bounds: bounds for all vehicles; norms and decay for all errors, too.
+        tolerance: largest relative error of each measured signal, and each force, independent of one another, as in the file
+            see `force_error`.
         family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
-        over: over the family "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
+        over: objective over a family: "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
         structure: True if a measurement may act on a force, a row per force; None for no restriction.
     """
 
@@ -157,7 +157,7 @@ class Goals:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The goals as the section of a vehicle file has them."""
+        """The goals as in the section of a vehicle file."""
         minimise = self.minimise.record | ({"over": self.over} if self.over != WORST else {})
         section: dict[str, Any] = {"minimise": minimise} if minimise else {}
         if self.bounds:
@@ -215,7 +215,7 @@ def read_goals(
 
     Args:
         where: the section, for messages.
-        entry: its entries.
+        entry: entries of the controller's section.
         measured: names of the measured signals.
         outputs: names of all signals.
         corners: suffix of the names at a force's suspension, by force; empty for a single suspension.
@@ -228,7 +228,7 @@ def read_goals(
     family = _family(where, entry.get("family"), parameters)
     if over == REGRET and not family:
         raise InputError(
-            f'{where} minimise has over = "regret", which is of a family; give family = [{{ ... }}, ...], or leave it out'
+            f'{where} minimise has over = "regret", which needs a family; give family = [{{ ... }}, ...], or omit it'
         )
     return Goals(
         minimise,
@@ -259,7 +259,7 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         signals = [signals]
     if isinstance(signals, list):
         if len(signals) != len({*map(repr, signals)}):
-            raise InputError(f"{where} names a signal twice; name it once")
+            raise InputError(f"{where} contains a signal twice; give it once")
         signals = {name if isinstance(name, str) else quoted(name): 1.0 for name in signals}
     if isinstance(signals, dict):
         for name, weight in signals.items():
@@ -280,7 +280,7 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
     if not fits or not 0 <= band[0] < band[1] <= HIGHEST:
         raise InputError(
             f"{where} band = {quoted(band)} is not allowed; give two frequencies [Hz], from and to, of at most {HIGHEST:g}, as "
-            "in [4.0, 8.0]; leave band out for all frequencies"
+            "in [4.0, 8.0]; omit band for all frequencies"
         )
     ends = (float(band[0]), float(band[1]))
     return NormOf(weights, ends if ends != EVERYWHERE else EVERYWHERE)
@@ -288,7 +288,7 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
 
 def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
     if not isinstance(value, list) or not all(isinstance(bound, dict) for bound in value):
-        raise InputError(f"{where} bounds = {quoted(value)} is no list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
+        raise InputError(f"{where} bounds = {quoted(value)} is not a list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
     return tuple(_bound(f"{where} bounds[{i}]", bound, outputs) for i, bound in enumerate(value))
 
 
@@ -296,7 +296,7 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
     kinds = [key for key in BOUND_KINDS if key in value]
     if len(kinds) != 1:
         raise InputError(
-            f"{where} = {quoted(dict(value))} is no bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
+            f"{where} = {quoted(dict(value))} is not a bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
         )
     kind = kinds[0]
     check_keys(where, value, (kind, *BOUND_KINDS[kind][0]))
@@ -315,7 +315,7 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
     if kind == "energy_peak":
         return EnergyBound(signal, number_within(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
     if not isinstance(road, str):
-        raise InputError(f'{where} road = {quoted(road)} is no road; give its name, as in road = "bump:height=0.08"')
+        raise InputError(f'{where} road = {quoted(road)} is not a road; give its name, as in road = "bump:height=0.08"')
     speed = number_within(f"{where} speed", value["speed"], 0.1, 200.0, "m/s") if "speed" in value else None
     return PeakBound(signal, road, speed, at_most)
 
@@ -339,7 +339,7 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
         return ()
     if not isinstance(value, list) or not value or not all(isinstance(member, dict) for member in value):
         raise InputError(
-            f"{where} family = {quoted(value)} is no list of vehicles; give factors on parameters, as in "
+            f"{where} family = {quoted(value)} is not a list of vehicles; give factors on parameters, as in "
             "family = [{}, { sprung_mass = 1.4 }]"
         )
     for i, member in enumerate(value):
@@ -360,7 +360,7 @@ def read_structure(
         corners: suffix of the names at a force's suspension, by force.
 
     Raises:
-        InputError: it is neither, or it leaves a signal or a force out.
+        InputError: the value is neither, or it omits a signal or a force.
     """
     if value is None:
         return None
@@ -375,7 +375,7 @@ def read_structure(
         for force, row in zip(corners, rows, strict=True):
             if not any(row):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", and nothing that is measured is of the corner of {force!r}; measure some'
+                    f'{where} structure = "{CORNER}", and no measurement is from the corner of {force!r}; measure one'
                 )
         return rows
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)

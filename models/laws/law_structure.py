@@ -46,7 +46,7 @@ class LawStructure:
 
     @property
     def text(self) -> str:
-        """The structure as a vehicle file has it."""
+        """The structure as in a vehicle file."""
         return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
 
     def states(self, forces: int) -> int:
@@ -103,7 +103,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     """
     table = table_within(f"{where} pid", entry["pid"], f"one, as in {EXAMPLE}")
     if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
-        raise InputError(f"{where} pid with {beside[0]}: a controller has one law; leave one of them out")
+        raise InputError(f"{where} pid with {beside[0]}: a controller has one law; omit one of them")
     rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
     check_keys(f"{where} pid", table, (*GAINS, FILTER))
     m = len(corners)
@@ -114,7 +114,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
             "constant in seconds, as in filter = 0.01"
         )
     if FILTER in table and not np.any(kd):
-        raise InputError(f"{where} pid has a filter, which is of the derivative alone, and no kd; give kd, or leave filter out")
+        raise InputError(f"{where} pid has a filter, which acts on the derivative alone, and no kd; give kd, or omit filter")
     filter = number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s") if FILTER in table else 1.0
     law = side_by_side(pid_filter(PID, filter), m)
     K = _block(kp, ki, kd)
@@ -124,7 +124,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
 
 
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
-    """Returns the numbers of a PI or PID law as `pid` of a vehicle file has them, for each force; empty of any other law.
+    """Returns the numbers of a PI or PID law as in `pid` of a vehicle file, for each force; empty for any other law.
 
     Its states are integrals and filtered signals, with the poles 0 and -1 / filter, and the inputs 1 and 1 / filter.
     """
@@ -153,7 +153,7 @@ def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
 
 
 def pid_text(law: LinearLaw) -> str:
-    """Returns a PI or PID law as a vehicle file has it, a table for each force; empty of any other law."""
+    """Returns a PI or PID law as in a vehicle file, a table for each force; empty for any other law."""
     tables = [", ".join(f"{name} = {value:.6g}" for name, value in gains.items()) for gains in pid_gains(law)]
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
@@ -185,13 +185,13 @@ def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
     table = table_within(f"{where} pid", entry.get("pid", {}), "one, as in pid = { filter = 0.01 }")
     if given := [name for name in GAINS if name in table]:
         raise InputError(
-            f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; leave structure out for a law of given '
+            f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; omit structure for a law of given '
             "numbers, or give pid its filter alone"
         )
     check_keys(f"{where} pid", table, (FILTER,))
     if kind == PI:
         if table:
-            raise InputError(f'{where} structure = "{PI}" has no derivative, and pid gives its filter; leave pid out')
+            raise InputError(f'{where} structure = "{PI}" has no derivative, and pid gives its filter; omit pid')
         return 0.0
     if FILTER not in table:
         raise InputError(

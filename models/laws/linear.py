@@ -29,7 +29,7 @@ class LinearLaw:
         B: shape (k, q).
         C: shape (m, k).
         D: shape (m, q), the static gain K if there are no states [N per measured unit].
-        sample_period: of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None of a continuous one.
+        sample_period: period of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None if continuous.
         anti_windup: rate at which its states follow the forces that are given where these are clipped [1/s]; None: they do not.
 
     Raises:
@@ -109,7 +109,7 @@ class LinearLaw:
         """Returns the law with its forces multiplied by factors.
 
         Args:
-            factors: one for all forces, or one for each, shape (m,).
+            factors: factor for all forces, or a factor for each force, shape (m,).
         """
         rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
         return replace(self, C=rows * self.C, D=rows * self.D)
@@ -118,7 +118,7 @@ class LinearLaw:
         """Returns the law with its readings multiplied by factors.
 
         Args:
-            factors: one for all readings, or one for each, shape (q,).
+            factors: factor for all measurements, or a factor for each, shape (q,).
         """
         columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
         return replace(self, B=self.B * columns, D=self.D * columns)
@@ -147,8 +147,8 @@ class LinearLaw:
         sizes = np.linalg.svd(loop, compute_uv=False)
         if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
             raise InputError(
-                "its force acts on what it measures at once, and I - D_c D is singular there: no force solves that loop; change "
-                "the gain on the accelerations, or filter them"
+                "its force acts on its measurements immediately, and I - D_c D is singular there: no force solves that loop; "
+                "change the gain on the accelerations, or filter them"
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
         B = self.B @ through
@@ -199,7 +199,7 @@ class LinearLaw:
         period stays as it is.
 
         Args:
-            period: [s].
+            period: sample period [s].
 
         Raises:
             InputError: a state grows by more than `LARGEST` within a period, or the result has entries beyond it.
@@ -261,5 +261,5 @@ def states_text(law: LinearLaw) -> str:
 
 
 def gain_text(gain: Array) -> str:
-    """Returns a gain matrix on one line, as a vehicle file has it."""
+    """Returns a gain matrix on one line, as in a vehicle file."""
     return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"

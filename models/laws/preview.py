@@ -31,8 +31,8 @@ class RoadPreview:
     Attributes:
         seconds: T, how far ahead of every wheel its road is known [s].
         A: shape (k, k).
-        B: from the road's velocities, shape (k, r).
-        H: from the road's heights, shape (k, r).
+        B: input matrix of the road's velocities, shape (k, r).
+        H: input matrix of the road's heights, shape (k, r).
         C: shape (m, k).
 
     Raises:
@@ -67,14 +67,14 @@ class RoadPreview:
         """Returns the number of heights under each wheel that a computer uses, the present one included.
 
         Args:
-            period: of its samples [s].
+            period: sample period of the preview [s].
         """
         return samples_ahead(self.seconds, period)
 
     def weights(self, period: float) -> Array:
         """Returns the forces per metre of height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
 
-        A preview that is no whole number of samples is cut to one.
+        A preview is rounded down to an integer number of samples.
         """
         count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
         if count == 1:
@@ -103,9 +103,9 @@ class RoadPreview:
         """Returns the forces along a road, held from sample to sample, shape (T, m).
 
         Args:
-            heights: of the road at the timesteps of a run, and beyond its end as far as it looks [m], shape (T + ahead, r).
+            heights: heights of the road at the timesteps of a run, and beyond its end by the preview [m], shape (T + ahead, r).
             steps: timesteps between two samples of the controller.
-            timestep: [s].
+            timestep: timestep of the heights [s].
             samples: T.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)

@@ -1,7 +1,7 @@
 """Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function given to `sim.run`.
 
 They are read here, not run. Linear analysis makes no claim about them. Files lie in the folder of the vehicle file, or below: no
-log, result or text of a vehicle file can name another one.
+log, result or text of a vehicle file can give another one.
 """
 
 import hashlib
@@ -18,8 +18,8 @@ from models.common.files import origin, read_bytes, read_text
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
-GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
-GIVE_FMU = 'give a file beside the vehicle file, as in fmu = "their.fmu"'
+GIVE = 'give a file next to the vehicle file and a function in it, as in law = "my_law.py:step"'
+GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
 FURTHEST = 60.0  # s of the road ahead
 
 
@@ -29,7 +29,7 @@ class PythonLaw:
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
-        preview: how far ahead it gets the road [s]; None if it does not get it.
+        preview: preview time of the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
     """
 
@@ -76,7 +76,7 @@ class PythonLaw:
         """Reads the text of the law's file without running it. For an FMU, it is the text that steps it, with its checksum.
 
         Raises:
-            InputError: there is no such file, it is too large, or it is not text.
+            InputError: the file does not exist, is too large, or is not text.
         """
         path = self.path
         if path is None:
@@ -94,7 +94,7 @@ class Programmed:
     """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
-        name: its name in the vehicle file.
+        name: name in the vehicle file.
         measured: the signals y, q of them.
         law: the law as the vehicle file names it.
         source: text of the law's file, or of the function, as far as Python knows it.
@@ -179,7 +179,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
             raise InputError(
-                f"{where} has an fmu and {listing(beside)}; an FMU is a law by itself, and is told no road: leave one out"
+                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law without preview; omit one of them"
             )
         return PythonLaw(fmu, None, folder)
     if "law" not in entry:
@@ -187,7 +187,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
 
         if "preview" in entry and entry.get("design") != PREVIEW:
             raise InputError(
-                f'{where} preview is what a law in Python is told of the road ahead; {GIVE}, or design = "{PREVIEW}", or '
+                f'{where} preview is the road ahead that a law in Python receives; {GIVE}, or design = "{PREVIEW}", or '
                 "take it out"
             )
         return None

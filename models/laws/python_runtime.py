@@ -40,8 +40,8 @@ class Sample:
 
     Attributes:
         y: the measurements, in the order of `measured`, shape (q,); `sample["sprung_velocity"]` is one by name.
-        time: since the start [s].
-        period: until the next sample [s].
+        time: time since the start [s].
+        period: time until the next sample [s].
         preview: heights of the road [m], a row per wheel: under it now, and at each of the next samples, as far as `preview`
             says, shape (r, P); None if the vehicle file declares no preview.
         parameters: parameters of the vehicle by name, in SI units.
@@ -167,7 +167,7 @@ class LawRuns:
         """Adds a run of a vehicle with these parameters. Returns `vectorised`.
 
         Raises:
-            InputError: see `OwnLaw`; the run is not added.
+            InputError: an error of `OwnLaw`; the run is not added.
         """
         if not self.vectorised:
             self._laws.append(OwnLaw(self._controller, self._forces))
@@ -183,8 +183,8 @@ class LawRuns:
         Args:
             gone: True for each run whose law is no longer called, shape (N,); its forces are 0.
             y: measurements, shape (N, q).
-            time: since the start [s].
-            period: until the next sample [s].
+            time: time since the start [s].
+            period: time until the next sample [s].
             preview: heights of the road ahead [m], shape (N, r, P), or None.
 
         Raises:
@@ -231,7 +231,7 @@ class FileRuns:
         """See `LawRuns.call`.
 
         Raises:
-            InputError: see there; or the calls take too long, or end the process.
+            InputError: errors of `LawRuns.call`, calls that take too long, or code that ends the process.
         """
         self._left += SLOWEST * period * self._count
         began = clock()

@@ -33,14 +33,14 @@ class LawCoefficients:
     """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
 
     Attributes:
-        c_min, c_max: of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at the present velocities.
+        c_min, c_max: limits of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at present.
         sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
-        stiffness: of the suspensions' springs [N/m], shape (N, m).
+        stiffness: stiffness of the suspension springs [N/m], shape (N, m).
         modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping
             over `sky`, then alone, shapes (b, N, m).
-        mix: of hybrid: 1 is skyhook alone, 0 groundhook; shape (N, m).
+        mix: weight of skyhook in a hybrid law: 1 is skyhook alone, 0 groundhook alone; shape (N, m).
         crossover: frequency of the mixed law, skyhook below and ADD above [rad/s], shape (N, m).
-        still: what replaces a velocity of 0 [m/s].
+        still: value that replaces a velocity of 0 [m/s].
     """
 
     c_min: Quantity
@@ -56,6 +56,10 @@ class LawCoefficients:
     def subset(self, which: Array | slice) -> "LawCoefficients":
         """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
+
+    def alone(self, j: int) -> "LawCoefficients":
+        """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
+        return self._of_each(lambda quantity: float(quantity[0, j]))
 
     def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
         """Returns the coefficients with a function applied to each quantity."""
@@ -170,7 +174,7 @@ class SemiActiveLaw:
         name: key of `LAWS`.
         numbers: the keys that the file gives, with their values.
         endings: suffixes of the names at the suspensions, in the order of the forces.
-        modes: measured modes of the body; empty for laws that work corner by corner.
+        modes: modes of the body that the law measures; empty for laws that work corner by corner.
     """
 
     name: str
@@ -211,12 +215,14 @@ class SemiActive:
     """Controller with a shipped semi-active law; no linear claim is made about it.
 
     Attributes:
-        name: its name in the vehicle file.
+        name: name in the vehicle file.
         law: the law.
+        code: the exported code that computes its outputs in runs; None if its own law does.
     """
 
     name: str
     law: SemiActiveLaw
+    code: Any = None
 
     @property
     def kind(self) -> str:
@@ -240,8 +246,9 @@ class SemiActive:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as JSON has them."""
-        return {"name": self.name, "measured": list(self.measured), **self.law.record}
+        """Name, signals, law and code, as in JSON."""
+        code = {"code": self.code.record} if self.code is not None else {}
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 
 
 def read_semi_active(
@@ -270,8 +277,8 @@ def read_semi_active(
             raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r}; {known}, and measures what it needs")
     if absent := [force for force in inputs if force not in endings]:
         raise InputError(
-            f"{where} semi_active = {quoted(name)} sets adjustable dampers, and {absent[0]} is of none; give [actuators] "
-            'kind = "damper", c_min and c_max'
+            f"{where} semi_active = {quoted(name)} sets semi-active dampers, and {absent[0]} does not belong to one; give "
+            '[actuators] kind = "damper", c_min and c_max'
         )
     numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)
     modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
@@ -279,7 +286,7 @@ def read_semi_active(
         raise InputError(f'{where} semi_active = {quoted(name)} is of a body that pitches or rolls; give "skyhook_linear"')
     for key, mode in MODAL.items():
         if key in entry and mode not in modes:
-            raise InputError(f"{where} {key}: this vehicle has no {mode}; leave it out")
+            raise InputError(f"{where} {key}: this vehicle has no {mode}; omit it")
     read = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
     if lacking := [signal for signal in read.measured if signal not in outputs]:
         raise InputError(f"{where} semi_active = {quoted(name)} measures {lacking[0]!r}, which this kind of vehicle has not")

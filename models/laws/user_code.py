@@ -16,7 +16,7 @@ def compiled(what: str, path: Path, text: str) -> CodeType:
     """Returns the compiled code of a file.
 
     Args:
-        what: what a message calls the file.
+        what: name of the file in messages.
 
     Raises:
         InputError: the text is not Python.
@@ -32,8 +32,8 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
     """Runs code of the user's and returns its result.
 
     Args:
-        what: what a message calls the file.
-        name: what a message calls the code.
+        what: name of the file in messages.
+        name: name of the code in messages.
         code: calls the code.
         refuses: True if the code's purpose is to raise InputError.
 

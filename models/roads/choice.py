@@ -37,12 +37,12 @@ class RoadChoice:
 
     Attributes:
         text: text of the choice.
-        kind: one of `ROAD_KINDS`, or "profile".
+        kind: kind of the road: one of `ROAD_KINDS`, or "profile".
         values: the given numbers and names.
-        profile: of a CSV file.
-        surface: of an OpenCRG file.
-        rig: of a drive file.
-        loads: on the body, beside it.
+        profile: profile of a CSV file; None for other roads.
+        surface: surface of an OpenCRG file; None for other roads.
+        rig: rig of a drive file; None for other roads.
+        loads: loads on the body, in addition to the road.
     """
 
     text: str
@@ -67,8 +67,8 @@ class RoadChoice:
         """Returns the road.
 
         Args:
-            speed: [m/s].
-            distance: driven distance [m], over which a random road does not repeat.
+            speed: vehicle speed [m/s].
+            distance: distance driven [m], over which a random road does not repeat.
 
         Raises:
             InputError: a number that is not allowed.
@@ -95,7 +95,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         folder: base of relative file names.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
+        InputError: an unknown kind or name, a value that is not allowed, a file that is not a profile.
 
     Example:
         >>> from models import choose_road, read_vehicle
@@ -121,7 +121,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
-        with error_in(f"road {text!r}: an OpenCRG file says its own units and joins its own points;"):
+        with error_in(f"road {text!r}: an OpenCRG file contains its own units and interpolation;"):
             given = settings(file["settings"], DRIVEN[:1])
         return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:

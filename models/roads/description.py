@@ -29,7 +29,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
         points: `points` of a profile or a rig; None for other roads.
 
     Raises:
-        InputError: the description is no road's, or not complete.
+        InputError: the description is not that of a road, or not complete.
     """
     if "loads" in description:
         loads = check("its loads", description["loads"], str)

@@ -1,4 +1,4 @@
-"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or in the mean.
+"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or on average.
 
 M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile", Transportation Research
 Record 1501, 1-12; ASTM E1926: a quarter-car of fixed numbers drives at 80 km/h over the heights h_i of one track, sampled every
@@ -53,8 +53,8 @@ def roughness_index(heights: Array, step: float) -> float:
     """Returns the IRI of a profile [m/km].
 
     Args:
-        heights: of one track [m], shape (P,), of 11 m at least.
-        step: from one to the next [m].
+        heights: heights of one track [m], shape (P,), over at least 11 m.
+        step: distance between heights [m].
     """
     return 1e3 * float(np.abs(suspension_slopes(heights, step)).mean())
 
@@ -63,8 +63,8 @@ def suspension_slopes(heights: Array, step: float) -> Array:
     """Returns (z_s' - z_u') / V after every sample [-], shape (P - b,).
 
     Args:
-        heights: of one track [m], shape (P,).
-        step: from one to the next [m].
+        heights: heights of one track [m], shape (P,).
+        step: distance between heights [m].
     """
     base, first = _samples(step), min(max(round(START / step), 1), len(heights))
     slopes = (heights[base:] - heights[:-base]) / (base * step)
@@ -80,7 +80,7 @@ def slope_response(n: Array, step: float) -> Array:
 
     Args:
         n: spatial frequencies, none of them 0.
-        step: of the samples [m].
+        step: distance between samples [m].
     """
     rates, of_slopes, _ = _modes(step)
     turn = np.exp(2j * np.pi * np.asarray(n) * step)
@@ -96,8 +96,8 @@ def missing(lines: Array, variances: Array) -> Array:
     Lines and places are evenly spaced, so that the sum over lines of the products of both is a Fourier transform.
 
     Args:
-        lines: of a random road, as multiples of 1 / `COUNTED` cycle/m, ascending integers above 0, shape (F,).
-        variances: of its slope, by line, shape (F,).
+        lines: spatial frequencies of a random road, in multiples of 1 / `COUNTED` cycle/m, ascending integers > 0, shape (F,).
+        variances: variance of the road's slope at each frequency, shape (F,).
     """
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED
@@ -164,10 +164,10 @@ class Roughness:
     """An IRI of a road.
 
     Attributes:
-        name: of the track, `left` or `right`, or `mean` or `half_car` of both.
-        iri: of this road [m/km].
+        name: name of the track: `left` or `right`; or `mean` or `half_car` for both tracks.
+        iri: roughness index of this road [m/km].
         expected: mean over all roads of its kind [m/km]; None if it has no spectrum.
-        spread: its standard deviation from road to road [m/km]; None likewise.
+        spread: standard deviation of the index from road to road [m/km]; None likewise.
     """
 
     name: str
@@ -181,7 +181,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
 
     Args:
         road: the road; a profile ends with its last point.
-        distance: driven distance [m].
+        distance: distance driven [m].
     """
     if not road.laid:
         return ()
@@ -218,7 +218,7 @@ def white_slope(iri: float, low: float, high: float) -> float:
     """Returns the one-sided density [m/cycle] of a white slope in a band, for a random road with this mean IRI [m/km].
 
     Args:
-        iri: [m/km].
+        iri: roughness index [m/km].
         low, high: ends of the band [cycle/m].
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high)

@@ -51,7 +51,7 @@ def roughness(road_class: str) -> float:
     """Returns G_d(n0) of a class [m3]: its geometric mean.
 
     Raises:
-        InputError: there is no such class.
+        InputError: the class does not exist.
     """
     if len(road_class) != 1 or road_class not in CLASSES:
         raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}")
@@ -73,10 +73,10 @@ def check_seed(seed: Any) -> int:
     """Returns the seed if it is one.
 
     Raises:
-        InputError: it is no whole number, or out of range.
+        InputError: the seed is not an integer, or is out of range.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MOST_SEED:
-        raise InputError(f"seed = {seed!r} is not allowed; give a whole number from 0 to {MOST_SEED}")
+        raise InputError(f"seed = {seed!r} is not allowed; give an integer from 0 to {MOST_SEED}")
     return seed
 
 
@@ -90,15 +90,15 @@ class Iso8608(Road):
 
     Attributes:
         road_class: "A" to "H"; empty if the IRI is given.
-        seed: of the phases.
+        seed: seed of the phases.
         speed: V [m/s].
-        track_width: from the right track to the left [m].
+        track_width: lateral distance from the right track to the left [m].
         length: distance after which it repeats [m]; another length is another road.
-        factor: multiplies its heights.
-        iri: in place of a class, mean IRI of such roads [m/km], before the factor; None if a class is given.
+        factor: factor on the heights.
+        iri: mean IRI of such roads [m/km], before the factor, instead of a class; None if a class is given.
 
     Raises:
-        InputError: an unknown class, a class and an IRI, a seed that is no whole number, another number beyond `LIMITS`.
+        InputError: an unknown class, a class and an IRI, a seed that is not an integer, another number beyond `LIMITS`.
     """
 
     road_class: str = "C"
@@ -253,7 +253,7 @@ def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], A
     """Returns a function that sums x_k exp(-2 pi i k turn j) over K lines, shape (K,), for j = 0, ..., T - 1, shape (T,).
 
     A chirp z-transform, K + T lines and times in the time of an FFT, by 2 k j = k^2 + j^2 - (j - k)^2: a convolution.
-    `scipy.signal.ZoomFFT` gives the same to the last bit, and takes half a second to import.
+    `scipy.signal.ZoomFFT` gives the same bit for bit, and takes half a second to import.
     """
     k = np.arange(max(lines, times), dtype=np.int64)
     scale = turn * (times - 1) * times / (times - 1)

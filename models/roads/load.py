@@ -1,16 +1,15 @@
 """Loads on the body over time: external forces and moments.
 
-Braking, cornering, payload and wind act on a vehicle that goes straight ahead as a vertical force at the body's centre of mass, a
-pitch moment and a roll moment, signed as the body's motions are (up; nose down; right side down). They are d'Alembert's: with the
-sprung mass m_s, whose centre is h over the ground,
+The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
+mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions are
+up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
 
-    braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
-    a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
+    braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
+    payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file says what links do: its roll centres,
-pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and
-what the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes. It does not
-sway; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
+The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight, not inertia. By default,
+springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
+(`models/kinds/links.py`). Their share of braking, cornering and gusts, and the inertia of the wheels, then act on the wheels.
 """
 
 import math
@@ -66,7 +65,7 @@ class Load(ABC):
         Args:
             t: times [s].
             p: parameters of the vehicle, by name [SI].
-            kind: of the vehicle, whose links may carry some of it to the wheels; None for the force and moments alone.
+            kind: kind of the vehicle, whose links may carry part of the load to the wheels; None for the force and moments alone.
         """
 
     def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -237,7 +236,7 @@ class Payload(_Placed):
     """Added weight.
 
     Attributes:
-        mass: [kg]; below 0 it is removed.
+        mass: payload mass [kg]; a negative mass is removed.
         x, y: place, forward and to the left of the body's centre of mass [m].
     """
 
@@ -261,7 +260,7 @@ class Lift(_Placed):
     """Aerodynamic lift.
 
     Attributes:
-        force: up [N]; below 0 it is downforce.
+        force: upward force [N]; a negative force is downforce.
         x, y: place, as of a payload [m].
     """
 
@@ -285,8 +284,8 @@ class Gust(Ramped):
     """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
 
     Attributes:
-        force: to the right [N]; below 0 it is from the right.
-        height: over the ground at which it acts [m].
+        force: force to the right [N]; a negative force acts to the left.
+        height: height above the ground at which the force acts [m].
     """
 
     kind: ClassVar[str] = "gust"

@@ -32,8 +32,8 @@ class History(Load):
 
     Attributes:
         source: the file's name.
-        time: [s], ascending, shape (K,).
-        columns: its values [N, N m] by heading, each of shape (K,).
+        time: times of the points [s], ascending, shape (K,).
+        columns: values of the load [N, N m] by heading, each of shape (K,).
     """
 
     source: str
@@ -178,7 +178,7 @@ def setting(name: str, value: str, unit: str = "1") -> float:
     """Returns a number that is given as text, maybe with its unit, in a unit.
 
     Raises:
-        InputError: it is not a finite number, or its unit is unknown or of another dimension.
+        InputError: the value is not a finite number, or its unit is unknown or of another dimension.
     """
     try:
         number = float(value)

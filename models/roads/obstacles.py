@@ -22,8 +22,8 @@ class WattsHump(Obstacle):
     G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597: 3.7 m long, 25 to 100 mm high.
 
     Attributes:
-        height: [m].
-        length: [m].
+        height: height of the hump [m].
+        length: length of the hump [m].
         speed: V [m/s].
 
     Raises:
@@ -143,11 +143,11 @@ class Pothole(Obstacle):
     """Step down, and another one up again, under one side or both.
 
     Attributes:
-        depth: [m].
-        length: from the beginning of the first edge to the end of the second [m].
+        depth: depth of the pothole [m].
+        length: distance from the beginning of the first edge to the end of the second [m].
         edge: length of each edge [m].
         speed: V [m/s].
-        track: its side: "left", "right" or "both".
+        track: side of the road: "left", "right" or "both".
 
     Raises:
         InputError: a number beyond its limits; edges longer than the pothole.

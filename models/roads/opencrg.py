@@ -24,8 +24,8 @@ class Surface:
     """Heights of a road on a grid.
 
     Attributes:
-        u: along the road [m], shape (P,).
-        v: across it, to the left [m], ascending, shape (Q,).
+        u: distances along the road [m], shape (P,).
+        v: distances across the road, to the left [m], ascending, shape (Q,).
         z: heights [m], shape (P, Q).
         source: the file.
     """
@@ -39,7 +39,7 @@ class Surface:
         """Returns the surface from a distance on [m].
 
         Raises:
-            InputError: it does not reach there.
+            InputError: the surface does not reach there.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)
@@ -49,7 +49,7 @@ class Surface:
 
         Args:
             track_width: distance from the right wheels to the left ones [m].
-            speed: [m/s].
+            speed: vehicle speed [m/s].
 
         Raises:
             InputError: the surface is too narrow, or has a hole.
@@ -109,7 +109,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
     end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
     step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
     if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):
-        raise InputError(f"has {len(u)} cross-sections, and its header promises {promised}: it was cut; give the whole file")
+        raise InputError(f"has {len(u)} cross-sections, and its header specifies {promised}; give the complete file")
 
 
 def _reason(error: Exception, path: Path) -> str:

@@ -36,7 +36,7 @@ class Profile(MeasuredRoad):
 
     Attributes:
         distance: ascending [m], shape (P,).
-        heights: of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left one.
+        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
         speed: V [m/s].
         source: the file.
         join: "straight" or "smooth".
@@ -60,10 +60,10 @@ class Profile(MeasuredRoad):
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks the profile as any road, and that what is driven is no steeper than a road can be.
+        """Checks the profile as any road, and that the driven part is not steeper than a road can be.
 
         Raises:
-            InputError: it is, as in wrong units.
+            InputError: the road is too steep, for example because of wrong units.
         """
         super().check(vehicle, time)
         x, z = self._driven(self.speed * float(time[-1]))
@@ -71,7 +71,7 @@ class Profile(MeasuredRoad):
         if slope > STEEPEST:
             raise InputError(
                 f"{x[-1] - x[0]:.4g} m in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} to {z.max():.4g} m: "
-                f"an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
+                f"an rms slope of {slope:.3g}, steeper than any road; if distances are in km, or heights in mm, add "
                 ":distance_unit=km or :height_unit=mm"
             )
 
@@ -126,7 +126,7 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a CSV file: distance, left, right [m]."""
+        """Its points bit for bit, as a CSV file: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -206,9 +206,9 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
     """Returns the points of a road from a distance on, with one more there, on the line between its neighbours.
 
     Args:
-        start: [m].
+        start: distance at which the road starts [m].
         distance: ascending [m], shape (P,).
-        heights: [m], shape (P, K).
+        heights: heights of the points [m], shape (P, K).
 
     Raises:
         InputError: the road does not reach there.
@@ -227,8 +227,8 @@ def check_points(
     """Checks that points make a profile.
 
     Args:
-        distance: [m], shape (P,).
-        heights: of the left and the right track [m], shape (P, 2).
+        distance: distances of the points [m], shape (P,).
+        heights: heights of the left and the right track [m], shape (P, 2).
         where: index -> what a message calls the point.
         smooth: True for a spline, which needs more points, without gaps.
 
@@ -245,14 +245,14 @@ def check_ascending(
     """Checks that points are enough, finite, and ascend; those of a spline without a gap.
 
     Args:
-        what: what they make, for messages.
+        what: name of the road, for messages.
         x: distance or time, shape (P,); axis: which of them; unit: its unit.
-        heights: [m], shape (P, K).
+        heights: heights of the points [m], shape (P, K).
         where: index -> what a message calls the point.
         smooth: True for a spline.
 
     Raises:
-        InputError: they are not.
+        InputError: the points are not ascending.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:
@@ -272,7 +272,7 @@ def check_ascending(
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
-    """Returns a profile from `Profile.points`, to the last bit.
+    """Returns a profile from `Profile.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.
@@ -284,7 +284,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
 
 
 def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
-    """Returns the names and the numbers of `Road.points`, to the last bit.
+    """Returns the names and the numbers of `Road.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.

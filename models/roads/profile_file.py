@@ -26,7 +26,7 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
     """Reads a profile from a text file. Its headings may give the quantity and the unit of each column.
 
     Args:
-        speed: [m/s].
+        speed: vehicle speed [m/s].
         settings: values by name. `distance_unit` and `height_unit` are for headings without a unit, by default m. `separator` is
             one of `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1.
 

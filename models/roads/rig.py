@@ -33,7 +33,7 @@ class Rig(MeasuredRoad):
 
     Attributes:
         time: ascending [s], shape (P,).
-        heights: [m], shape (P, K).
+        heights: heights of the posts [m], shape (P, K).
         posts: wheel on each post: the name of its road signal or its road's body, or the suffix of either; K of them.
         source: the file.
 
@@ -69,9 +69,7 @@ class Rig(MeasuredRoad):
         for post in self.posts:
             if post_name(post) in _names(wheel):
                 return post
-        raise InputError(
-            f"no column is called {_names(wheel)[0]}, after the wheel that would stand on it, but {listing(self.posts[:20])}"
-        )
+        raise InputError(f"no column is called {_names(wheel)[0]}, as its wheel is; the columns are {listing(self.posts[:20])}")
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns zero: the vehicle stands."""
@@ -99,7 +97,7 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a CSV file: time [s], heights [m]."""
+        """Its points bit for bit, as a CSV file: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -116,13 +114,13 @@ class Rig(MeasuredRoad):
         }
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks the rig as any road, and that every wheel of the vehicle stands on a post."""
+        """Checks the rig as any road, and that every wheel of the vehicle has a post."""
         posts = {self.track_of(wheel) for wheel in vehicle.kind.wheels}
         for post in self.posts:
             if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
-                    f"column {quoted(post)} is of no wheel of this vehicle, which has {listing(names)}; leave it out"
+                    f"column {quoted(post)} does not belong to a wheel of this vehicle; give {listing(names)}, or omit the column"
                 )
         super().check(vehicle, time)
 
@@ -158,8 +156,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     """Checks that points make the histories of posts.
 
     Args:
-        time: [s], shape (P,).
-        heights: of every post [m], shape (P, K).
+        time: times of the heights [s], shape (P,).
+        heights: heights of the posts [m], shape (P, K).
         where: index -> what a message calls the point.
 
     Raises:
@@ -169,8 +167,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     rises = np.abs(heights - heights[0])
     for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
         raise InputError(
-            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. Heights in mm? then say "
-            "so, as in front_left [mm]"
+            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. If heights are in mm, "
+            "add the unit, as in front_left [mm]"
         )
 
 
@@ -186,14 +184,14 @@ def check_posts(posts: Sequence[str]) -> None:
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {quoted(post)}; give it the name of the wheel that stands on it")
+            raise InputError(f"a column is called {quoted(post)}; give it the name of the wheel on this post")
         if name in seen:
-            raise InputError(f"two columns, {quoted(seen[name])} and {quoted(post)}, are of one wheel; leave one out")
+            raise InputError(f"two columns, {quoted(seen[name])} and {quoted(post)}, belong to one wheel; omit one of them")
         seen[name] = post
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """Returns a rig from `Rig.points`, to the last bit.
+    """Returns a rig from `Rig.points` bit for bit.
 
     Raises:
         InputError: the content is wrong.

@@ -134,7 +134,7 @@ class Road(ABC):
         """Checks that a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
 
         Raises:
-            InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or is too low.
+            InputError: the road ends within two timesteps, is under one side of a vehicle with one track, or is too low.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
@@ -143,9 +143,7 @@ class Road(ABC):
                 "it; give a longer one, less speed, or a smaller timestep"
             )
         if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-            raise InputError(
-                f"the road lies under the {self.track} side, and a {vehicle.kind.name} has only one track; leave track out"
-            )
+            raise InputError(f"the road is under the {self.track} side, and a {vehicle.kind.name} has only one track; omit track")
         heights = under_wheels(self.displacement, self, vehicle, time)
         if heights.ndim != 2 or len(heights) != len(time) or not np.all(np.isfinite(heights)):
             raise InputError(f"{type(self).__name__}.displacement(t) is not a finite height [m] for each time of t; return these")
@@ -173,7 +171,7 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
     """Refuses a road with a number beyond its limits (smallest, largest), by name, or on an unknown track.
 
     Raises:
-        InputError: it names the number, and the range; or the track.
+        InputError: a number out of range, or an unknown track; the message contains its name and the range.
     """
     for name, (smallest, largest) in limits.items():
         value = plain(getattr(road, name))
@@ -412,8 +410,8 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     """Returns means of a function over intervals, same shape as t; exact if it is a line or a cubic between knots.
 
     Args:
-        function: continuous.
-        knots: ascending, shape (K,).
+        function: function to average, continuous.
+        knots: points at which the function has a kink, ascending, shape (K,).
         t: middles of the intervals.
         length: length of each.
     """
@@ -463,7 +461,7 @@ class RoadInput:
     """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
 
     Heights and velocities are measured from the steady motion in which the vehicle starts (`MeasuredRoad`), which is an inertial
-    frame: in it, the run starts from rest. `steady` is that motion.
+    frame in which the run starts from rest. `steady` is that motion.
 
     Attributes:
         vehicle: r wheels, and a body that l loads push.

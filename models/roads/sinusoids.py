@@ -25,7 +25,7 @@ class Multisine(Road):
         amplitudes: a_i [m].
         phases: phi_i [rad].
         speed: forward velocity [m/s].
-        name: its name in a log, one of `MULTISINES`.
+        name: name in a log, one of `MULTISINES`.
     """
 
     omega: tuple[float, ...]
@@ -90,7 +90,7 @@ def chirp(omega: Array, period: float, speed: float) -> Multisine:
 
     Args:
         omega: ascending angular frequencies [rad/s], shape (F,), multiples of 2 pi / period.
-        period: [s].
+        period: period of the signal [s].
         speed: forward velocity [m/s].
     """
     below = np.tril(np.subtract.outer(omega, omega), -1)
@@ -123,11 +123,11 @@ class Sine(Obstacle):
         z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
 
     Attributes:
-        amplitude: [m].
-        frequency: [Hz].
-        phase: at the beginning [degrees].
+        amplitude: amplitude of the sine [m].
+        frequency: frequency of the sine [Hz].
+        phase: phase at the beginning [degrees].
         speed: V [m/s]; it matters only for the delays of the rear wheels.
-        start: when the first wheel reaches it [s].
+        start: time at which the first wheel reaches the sine [s].
 
     Raises:
         InputError: a number beyond its limits.
@@ -172,9 +172,9 @@ class SineSweep(Obstacle):
     So the road's velocity, to which a vehicle responds, has nearly the same amplitude at all frequencies.
 
     Attributes:
-        amplitude: at the beginning [m].
+        amplitude: amplitude at the beginning [m].
         lowest, highest: f at the beginning and at the end [Hz].
-        duration: from one to the other [s]; then the road is level.
+        duration: time from the first frequency to the last [s]; then the road is level.
         speed: V [m/s]; it matters only for the delays of the rear wheels.
 
     Raises:

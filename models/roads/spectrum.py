@@ -15,10 +15,10 @@ class Spectrum:
 
     Attributes:
         density: one-sided, of the road's vertical velocity, which is white within the band [(m/s)^2/Hz].
-        band: its ends [rad/s].
+        band: lowest and highest frequency [rad/s].
         speed: V [m/s].
         length: distance after which the road repeats: it is a sum of lines, 1 / length apart [m].
-        track_width: from the right track to the left [m].
+        track_width: lateral distance from the right track to the left [m].
     """
 
     density: float
@@ -37,7 +37,7 @@ def coherency(n: Array, width: float) -> Array:
 
     Args:
         n: spatial frequencies [cycle/m].
-        width: between the tracks, b [m].
+        width: distance between the tracks, b [m].
     """
     from scipy import special  # a tenth of a second
 
@@ -73,8 +73,8 @@ def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
     """Returns the largest spacing of frequencies that resolves the delay of the last axle, and what is known ahead [rad/s].
 
     Args:
-        speed: [m/s].
-        ahead: how far ahead the road is known [s].
+        speed: vehicle speed [m/s].
+        ahead: time by which the road is known ahead [s].
     """
     delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed + ahead
     return 2 * np.pi / delay if delay else math.inf

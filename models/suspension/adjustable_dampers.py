@@ -33,7 +33,7 @@ class Adjustable:
     Attributes:
         force: the input that it replaces, its force beyond the nominal damper's.
         ending: suffix of the names at its suspension.
-        damper: its limits.
+        damper: limits of the damper.
         nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
     """
@@ -144,7 +144,7 @@ def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> Forc
         return None
     x = np.unique(np.concatenate([points for _, points, _ in parts]))
     bent = sum((weight * pieces.force(x) for weight, _, pieces in parts), np.zeros_like(x))
-    return ForceCurve(x, nominal * x + bent, nominal, "the nominal damper, with what stands beside it")
+    return ForceCurve(x, nominal * x + bent, nominal, "the nominal damper, with what acts in parallel")
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
@@ -159,7 +159,7 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     where += [f"beyond {x[end]:g} m/s, as it goes on from there" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
-            f"[curves] {parameter} adds to an adjustable damper, whose softest setting then feeds energy in {where[0]}; give "
+            f"[curves] {parameter} adds to a semi-active damper, whose softest setting then feeds energy in {where[0]}; give "
             "only the line and the friction in [curves], and the measured limits as curves c_min and c_max of [actuators]"
         )
 

@@ -1,8 +1,8 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
-A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if squeezed by x: a rubber stop's stiffness
-grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side. A
-side that is left out has no stop.
+A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
+rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each
+side. An omitted side has no stop.
 
 A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
 leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
@@ -91,7 +91,7 @@ class Stops:
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
-        """Returns sign, stop and how far it is squeezed [m] for each side that has one."""
+        """Returns sign, stop and how far it is compressed [m] for each side that has one."""
         return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
 
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
@@ -173,8 +173,8 @@ def _stiffness(where: str, value: Any) -> Stiffness:
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
     if not 1 <= len(value) <= MOST:
         raise InputError(
-            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop squeezed by x they push "
-            "back with k_1 x + k_2 x^2 + k_3 x^3"
+            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
+            "push back with k_1 x + k_2 x^2 + k_3 x^3"
         )
     units = ("N/m", "N/m2", "N/m3")
     least = (SMALLEST, 0.0, 0.0)
@@ -207,14 +207,14 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
     """Returns the stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
 
     Args:
-        section: as it was read, of stops alone.
+        section: section of the file, of stops alone.
         corners: names of the suspensions' corners; empty for a single suspension.
 
     Raises:
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
     """
     if section and not corners:
-        raise InputError(f"[limits] {next(iter(section))}: this kind of vehicle has no suspension to stop; leave it out")
+        raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
     common, known = {name: value for name, value in section.items() if name in STOP_KEYS}, places_of(corners)
     places = [_place("[limits]", "", common)]
     for name, value in section.items():
@@ -240,7 +240,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             for side in SIDES:
                 if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
                     where = f" of {corner}" if corner else ""
-                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness has none; give it there, too")
+                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness does not; give it there, too")
     return tuple(places)
 
 

@@ -51,7 +51,7 @@ class ForceCurve:
         x: points [m/s or m], ascending, with 0 among the inner ones, shape (n,).
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of its line in linear analysis [N s/m or N/m].
-        words: its description, a phrase.
+        words: description of the curve, a phrase.
     """
 
     x: Array

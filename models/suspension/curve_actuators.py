@@ -28,7 +28,7 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
 
     Args:
         spec: the model, its parameters written into it.
-        prefix: how the names of the actuators begin.
+        prefix: beginning of the actuators' names.
         rest: the length at rest of every tendon [m].
 
     Raises:
@@ -37,7 +37,7 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
     tendons = {tendon.name: tendon for tendon in spec.tendons}
     for fit in curves:
         if fit.tendon not in tendons:
-            raise InputError(f"has no tendon {fit.tendon!r}, whose suspension has a curve in [curves]; add it, or leave that out")
+            raise InputError(f"has no tendon {fit.tendon!r} for a curve of its suspension; add the tendon, or omit the curve")
         tendon, curve = tendons[fit.tendon], fit.curve
         own = float((tendon.damping if fit.damps else tendon.stiffness)[0])
         if not abs(own - curve.slope) <= SAME * max(abs(own), abs(curve.slope)):

@@ -29,7 +29,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
 
     Args:
         data: tables of the vehicle file.
-        folder: its folder, to which its paths are relative.
+        folder: folder of the file, to which its paths are relative.
 
     Raises:
         InputError: a file is missing, or does not contain a curve; the message names it.

@@ -26,7 +26,7 @@ def thinned(x: Array, force: Array, error: float) -> Array:
     between.
 
     Args:
-        x: ascending, with rest, 0, among them, shape (n,).
+        x: points of the curve, ascending, with rest, 0, among them, shape (n,).
         force: shape (n,).
         error: largest allowed error, in the force's unit.
     """
@@ -82,7 +82,7 @@ class Argument:
     """Argument of a curve.
 
     Attributes:
-        name: its key.
+        name: key of the argument.
         unit: SI unit.
         largest: largest allowed value; larger ones are in another unit.
         small: the likely wrong unit.
@@ -103,7 +103,7 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
-        section: the section, with tables in place of files.
+        section: the section, with tables instead of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
 
     Raises:
@@ -174,11 +174,11 @@ def _check_argument(x: Array, over: Argument) -> None:
             f"{over.name}, each once"
         )
     for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
-        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}, too near; leave one out")
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
     if not x[0] < 0 < x[-1]:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
-            "squeezed, above 0 where it stretches"
+            "compressed, above 0 where it extends"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
@@ -196,8 +196,8 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
-            f"its force at rest is {at_rest:g} N, and a damper's is 0; take off the force of its gas, which the "
-            "spring's preload has"
+            f"its force at rest is {at_rest:g} N, and a damper's is 0; subtract the force of its gas, which is "
+            "part of the spring's preload"
         )
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
@@ -243,7 +243,7 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
             if x * force < 0:
                 raise InputError(
                     f"its force at {x:g} m/s is {force:g} N: that feeds energy in, where a damper takes it; give forces of the "
-                    "velocity's sign, both positive where the suspension stretches"
+                    "velocity's sign, both positive where the suspension extends"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(

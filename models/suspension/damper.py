@@ -9,7 +9,7 @@ If a controller commands a force u* beyond the nominal damper's, the coefficient
 
     c = clip(c_s - u* / v, c_min, c_max),
 
-with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
+with curves instead of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
 from the velocity then, and held until the next. If v is 0 and u* is not, v counts as slightly negative; if both are 0 the damper
 is the nominal one.
 
@@ -43,7 +43,7 @@ class Pair:
     """Curves of an adjustable damper.
 
     Attributes:
-        soft, hard: at its softest and at its firmest setting.
+        soft, hard: curves at the softest and at the firmest setting.
     """
 
     soft: ForceCurve
@@ -132,10 +132,10 @@ class Damper:
     """Adjustable damper.
 
     Attributes:
-        c_min, c_max: its smallest and its largest coefficient [N s/m]; with curves, at rest.
+        c_min, c_max: smallest and largest coefficient [N s/m]; with curves, at rest.
         bandwidth: corner frequency of its valve, a first-order lag from the set coefficient to the acting one [rad/s]; None for
             a valve without lag.
-        pair: its curves; None if they are straight.
+        pair: curves of the damper; None if they are straight lines.
     """
 
     c_min: float
@@ -176,12 +176,12 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         check_keys(where, value, KEYS)
     by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
     if not by_force and section:
-        raise InputError("[actuators]: this kind of vehicle has no suspension with a force; leave the section out")
+        raise InputError("[actuators]: this vehicle type has no suspension with a force; omit the section")
     dampers = {force: damper for force, damper in by_force.items() if damper is not None}
     if dampers and limited:
         raise InputError(
-            f"[limits] {limited[0]} is of actuators that push, and [actuators] has adjustable dampers, which c_min, c_max and "
-            'bandwidth limit; leave it out, or give controllers that push actuators = "force"'
+            f"[limits] {limited[0]} is for force actuators, and [actuators] has semi-active dampers, which c_min, c_max and "
+            'bandwidth limit; omit the key, or give controllers of force actuators actuators = "force"'
         )
     return dampers
 
@@ -208,7 +208,7 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
             )
         return None
     if absent := [name for name in CURVED if name not in numbers]:
-        raise InputError(f"{where} {absent[0]} is missing; an adjustable damper has c_min and c_max [N s/m]")
+        raise InputError(f"{where} {absent[0]} is missing; a semi-active damper has c_min and c_max [N s/m]")
     pair = _pair(where, numbers)
     if pair is not None:
         numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}

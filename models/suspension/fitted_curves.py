@@ -49,9 +49,9 @@ class SuspensionCurve:
 
     Attributes:
         deflection: signal of the suspension.
-        tendon: its tendon in the MJCF.
+        tendon: name of the tendon in the MJCF.
         parameter: the parameter that it replaces.
-        over: its argument.
+        over: argument of the curve.
         curve: the curve; its slope is the parameter's value.
     """
 

@@ -58,7 +58,7 @@ class DesignConditions:
     Attributes:
         noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
         bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
-        loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
+        loads: loads on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances in addition to the road.
     """
 
     given_as = "design conditions, such as vehicle.hardware(name) returns"
@@ -82,9 +82,9 @@ class ControllerEntry:
     """Section `[controllers.NAME]` of a vehicle file.
 
     Attributes:
-        name: its name.
+        name: name of the controller.
         measured: signals it measures, q of them.
-        law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
+        law: law from the q measurements to the m forces if the file contains its numbers; None if the law is to be designed.
         certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
         design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
             `QUADRATIC` or `PREVIEW`; empty for the paper's two steps.
@@ -92,13 +92,13 @@ class ControllerEntry:
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
         sampled: True if it is designed for the sampled loop.
         goals: goals of its design; None for the least norm.
-        semi_active: its law for adjustable dampers, without any claim; None for all others.
+        semi_active: semi-active law for dampers, without any linear claim; None for all other controllers.
         stable: True if its law of full order is to be stable by itself.
         fastest_pole: largest magnitude of the poles of the loop of its law of full order [rad/s]; None without a limit.
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
-        structure: of the law that is designed; None for no restriction, or for a static gain.
+        structure: structure of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
-        preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
+        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
@@ -134,7 +134,7 @@ class ControllerEntry:
 
     @property
     def parts(self) -> dict[str, str]:
-        """Its law or design, and what is beside it, each as a vehicle file has it: rows of the table of what goes together."""
+        """Its law or design, and its options, each as in a vehicle file: rows of the table of compatible options."""
         parts: dict[str, str] = {}
         if self.law is not None:
             parts |= {"states": "a law with states"} if self.law.states else {"gain": "gain"}
@@ -187,8 +187,8 @@ def read_controllers(
     """Reads `[controllers]`: entries by name in the normal form NFC, in which names that look alike are equal.
 
     Args:
-        limits, implementation, kind: of the vehicle, for controllers that are designed for them.
-        folder: of the vehicle file and of laws in Python; None for a vehicle file from text.
+        limits, implementation, kind: properties of the vehicle, for controllers that are designed for them.
+        folder: folder of the vehicle file and of laws in Python; None for a vehicle file from text.
         sampled: default of `sampled` in a section.
         dampers: suffix of the names at every adjustable damper, by force.
     """
@@ -220,8 +220,8 @@ def _forced(where: str, section: Any) -> tuple[bool, Any]:
         return False, section
     if section["actuators"] != PUSHING:
         raise InputError(
-            f'{where} actuators = {quoted(section["actuators"])} is not allowed; give "{PUSHING}" for actuators that push, or '
-            "leave it out for those of [actuators]"
+            f'{where} actuators = {quoted(section["actuators"])} is not allowed; give "{PUSHING}" for force actuators, or '
+            "omit it for those of [actuators]"
         )
     return True, {key: value for key, value in section.items() if key != "actuators"}
 
@@ -252,11 +252,11 @@ def _controller(
                 f"{listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
-        raise InputError(f"{where} its file is read beside a vehicle file, and this is text from elsewhere; give its matrices")
+        raise InputError(f"{where} its file must be next to a vehicle file, and this text is not from a file; give its matrices")
     structured = entry.get("structure") in PATTERNS
     given = any(key in entry for key in ("gain", *MATRICES, *["pid"] * (not structured)))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
-        raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
+        raise InputError(f"{where} a certificate is a separate section, in addition to that of the gain or law; remove it here")
 
     python = read_law(where, entry, folder)
     of_state = design in ("lqr", PREVIEW)
@@ -265,13 +265,13 @@ def _controller(
     measured = entry.get("measured")
     measurable = listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
-        mistake = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
+        mistake = f"measured = {quoted(measured)} is not a list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
     for signal in measured:
         if signal not in model.outputs:
             raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {alike(signal, model.measurable)}")
         if measured.count(signal) > 1:
-            raise InputError(f"{where} measures {signal!r} twice; name it once")
+            raise InputError(f"{where} measures {signal!r} twice; give it once")
         if signal not in model.measurable:
             if signal in model.heights:
                 raise InputError(
@@ -279,11 +279,11 @@ def _controller(
                     f"out of: {measurable}"
                 )
             raise InputError(
-                f"{where} {signal!r} has the road's height in it beside the state, and loops are closed through the state alone; "
-                f"give signals out of: {measurable}"
+                f"{where} {signal!r} contains the road's height in addition to the state, and loops are closed through the state "
+                f"alone; give signals out of: {measurable}"
             )
     if not given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(f"{where} control forces alone say nothing of the state; give measured = signals out of: {measurable}")
+        raise InputError(f"{where} control forces alone do not show the state; give measured = signals out of: {measurable}")
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(
@@ -326,8 +326,8 @@ def _preview(where: str, entry: Mapping[str, Any], dampers: Mapping[str, str]) -
         )
     if dampers:
         raise InputError(
-            f'{where} design = "{PREVIEW}" pushes before the road does, and adjustable dampers only resist motion; give another '
-            "design, or leave [actuators] out"
+            f'{where} design = "{PREVIEW}" acts before the road does, and semi-active dampers only resist motion; give another '
+            "design, or omit [actuators]"
         )
     return checked_preview(where, entry["preview"])
 
@@ -347,17 +347,17 @@ def _hardware(
     if flags["noise"] and not any(noise):
         raise InputError(
             f"{where} has noise = true, and [implementation] gives no noise of what it measures; give it, as in "
-            f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or leave noise = true out"
+            f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
     if forces and design and not flags["lag"]:
         raise InputError(
             f"{where} has noise = true, and [implementation] a noise on {forces[0]!r}, which a design takes out of what is "
-            "measured and knows no noise of; leave that noise out"
+            "measured and knows no noise of; omit that noise"
         )
     if flags["lag"] and limits.actuator_bandwidth is None:
         raise InputError(
-            f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or leave lag out"
+            f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or omit lag"
         )
     return DesignConditions(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
@@ -387,11 +387,11 @@ def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, cl
     if rate is None:
         return None
     if law is not None and not law.states:
-        raise InputError(f"{where} has anti_windup, and its law has no states that wind up; leave anti_windup out")
+        raise InputError(f"{where} has anti_windup, and its law has no states that wind up; omit anti_windup")
     if not clipped:
         raise InputError(
             f"{where} has anti_windup, and nothing clips its forces; give [limits] actuator_force, or [actuators] "
-            'kind = "damper", or leave anti_windup out'
+            'kind = "damper", or omit anti_windup'
         )
     return rate
 

@@ -1,4 +1,4 @@
-"""Contents of files in place of their names in a vehicle file: laws, families, and tables of curves.
+"""Contents of files instead of their names in a vehicle file: laws, families, and tables of curves.
 
 So the text of a vehicle is complete once it is read: logs, campaigns and saved files contain the numbers, and their readers never
 open a file for them. A comment names the source.
@@ -27,7 +27,7 @@ GIVE_LAW = f"give a MATLAB file with A, B, C, D, or K, written by {SAVE}"
 
 
 def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with the contents of other files in place of their names, and those files.
+    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
 
     Args:
         folder: folder of the vehicle file, to which its paths are relative.

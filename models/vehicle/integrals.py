@@ -1,4 +1,4 @@
-"""Controllers beside weights with an integral: what goes together, and the reason why not."""
+"""Controllers and weights with an integral: the compatible options, and the reasons against others."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ def check_integrals(
 
     Args:
         entry: a controller.
-        integrals: of the vehicle's z, by name of the state.
+        integrals: integrals of the vehicle's z, by name of the state.
         heard: noise of its sensors, an rms by signal.
         sampled: True if its designs are for the sampled loop.
 
@@ -27,7 +27,7 @@ def check_integrals(
     weighed = next(iter(integrals)).removeprefix("integral_of_")
     where = f"[controllers.{entry.name}] and the integral of {weighed} in [performance]:"
     if sampled or entry.sampled:
-        raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; leave sampled out")
+        raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; omit sampled")
     if entry.goals is not None:
         raise InputError(f"{where} goals are of static gains, which have no integral; give a design or an order instead")
     if entry.errors is not None:
@@ -35,7 +35,7 @@ def check_integrals(
             f"{where} an error that is weighted by frequency acts ahead of it; give the error as a number, or no pole at 0"
         )
     if entry.stable:
-        raise InputError(f"{where} its law integrates, a pole at 0, which is not stable by itself; leave stable out")
+        raise InputError(f"{where} its law integrates, a pole at 0, which is not stable by itself; omit stable")
     if entry.structure is not None and (entry.structure.kind or entry.structure.rows is not None):
         raise InputError(f"{where} a law with a structure has no further state; give order = 2 without structure, or a design")
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
@@ -44,6 +44,6 @@ def check_integrals(
     for terms in integrals.values():
         if set(terms) <= set(entry.measured) and (louder := [name for name in terms if noisy.get(name)]):
             raise InputError(
-                f"{where} the law integrates the noise of {louder[0]} with it, without bound: there is no norm; leave out "
+                f"{where} the law integrates the noise of {louder[0]} with it, without bound: there is no norm; omit "
                 "that noise, or give a filter without a pole at 0"
             )

@@ -27,7 +27,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         Its matrices as in TOML, or its gain; and its sample period [s], None for a continuous or static law.
 
     Raises:
-        InputError: it is not such a file, or does not contain exactly one controller.
+        InputError: the file is not of this format, or does not contain exactly one controller.
     """
     where, values = _only_controller(_variables(content))
     matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones
@@ -76,7 +76,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
             f"[A, B, C, D, Ts] = ssdata({name}); {SAVE}"
         )
     others = [name for name in variables if not name.startswith("__")]
-    raise InputError(f"contains no A, B, C, D, and no K; it has {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
+    raise InputError(f"contains neither A, B, C, D nor K, but {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
 
 
 def _numbers(name: str, value: Any) -> Array:

@@ -65,7 +65,7 @@ class Limits:
 
     @property
     def written(self) -> dict[str, str]:
-        """The given limits as a vehicle file has them, by key; values of one side by `key.side`."""
+        """The given limits as in a vehicle file, by key; values of one side by `key.side`."""
         given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
         if not self.stopped:
             return {name: f"{value:g}" for name, value in given.items()}
@@ -140,11 +140,11 @@ class Implementation:
     """Implementation of the controller: sampling, delay, noise and quantisation.
 
     Attributes:
-        sample_period: of the controller [s], a multiple of the timestep; None: the timestep itself.
-        delay: from a measurement to the force computed from it, in samples of the controller; a whole number of them is an int.
+        sample_period: sample period of the controller [s], a multiple of the timestep; None for the timestep itself.
+        delay: delay from a measurement to the force computed from it, in samples of the controller; an int if it is an integer.
         noise: rms of the white noise on a measured signal, by signal, in its unit.
         quantisation: resolution of a measured signal, by signal, in its unit.
-        seed: of the noise.
+        seed: seed of the noise.
     """
 
     given_as = "an implementation, such as vehicle.implementation"
@@ -245,7 +245,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
         values_by_key["sample_period"] = period
-    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
+    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "integer")):
         value = section.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
@@ -276,8 +276,8 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
     mass or without springs.
 
     Args:
-        parameters: of the vehicle, by name [SI].
-        limits: of the vehicle.
+        parameters: parameters of the vehicle, by name [SI].
+        limits: limits of the vehicle.
     """
     mass = parameters.get("sprung_mass", 0.0)
     k, c = (
@@ -305,16 +305,16 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     """Returns the number of timesteps that the controller holds its force.
 
     Raises:
-        InputError: the sample period is no multiple of the timestep, or the delay none.
+        InputError: the sample period or the delay is not a multiple of the timestep.
     """
     period, delay = implementation.sample_period, implementation.delay
     steps = 1 if period is None else round(period / timestep)
     if period is not None and (steps < 1 or abs(steps * timestep / period - 1) > 1e-9):
-        raise InputError(f"sample_period = {period:g} s is no multiple of the timestep, {timestep:g} s; give such a one")
+        raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is no multiple of the timestep, {timestep:g} s, and no "
-            f"force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and "
+            f"no force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps
 
@@ -329,7 +329,7 @@ def check_period(name: str, period: float | None, implementation: Implementation
     """Checks that a law with its own sample period is implemented with it.
 
     Args:
-        period: of its law [s]; None for a law without one.
+        period: sample period of the law [s]; None for a law without one.
 
     Raises:
         InputError: the periods differ.

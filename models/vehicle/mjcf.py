@@ -82,7 +82,7 @@ def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
     try:
         return _read(kind.mjcf, unnamed)
     except MUJOCO_SAYS as error:
-        raise InputError(f"MJCF {kind.mjcf}: MuJoCo does not take it ({_said(error)}); mend that") from error
+        raise InputError(f"MJCF {kind.mjcf}: MuJoCo rejects it ({_said(error)}); correct it") from error
 
 
 def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
@@ -106,12 +106,12 @@ def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
         try:
             _drawn(vehicle).compile()
         except MUJOCO_SAYS:
-            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it"
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
         else:
             whose = (
-                f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo does not take what write_mjcf makes of the MJCF"
+                f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
             )
-        raise InputError(f"{whose} ({_said(error)}); mend that") from error
+        raise InputError(f"{whose} ({_said(error)}); correct it") from error
 
 
 def _said(error: Exception) -> str:
@@ -132,7 +132,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         if absent := [name for name in names if name not in suspensions]:
             raise InputError(
                 f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
-                "[limits] suspension_stroke is to stop; add what is missing, or leave the stroke out"
+                "[limits] suspension_stroke is to stop; add what is missing, or omit the stroke"
             )
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
@@ -185,7 +185,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
         drawn: False drops visual parts; a step then has the same numbers and takes a twentieth less.
 
     Raises:
-        InputError: see `build_spec`; or the model does not match the equations.
+        InputError: an error of `build_spec`, or a model that does not match the equations.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -230,7 +230,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
         )
     if model.nq != model.nv:
-        raise InputError(f"{where}: has a free or a ball joint, whose angles are no coordinates; give slides and hinges")
+        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; give slides and hinges")
     for name in vehicle.linear_model.outputs:
         for part in vehicle.kind.combined.get(name, {name: 1.0}):
             sensor = model.sensor(part)
@@ -238,7 +238,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             along = sensor.user[:count]
             if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
                 raise InputError(
-                    f"{where}: sensor {part!r} has {count} number(s), and user = {quoted(along)} is no direction along "
+                    f"{where}: sensor {part!r} has {count} number(s), and user = {quoted(along)} is not a direction along "
                     'which to read them; give as many, as in user="0 0 1", and <size nuser_sensor="3"/>'
                 )
     data = mujoco.MjData(model)
@@ -246,12 +246,12 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         mujoco.mj_forward(model, data)
     for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
         if not np.all(np.isfinite(values)):
-            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; mend it, or what write_mjcf writes into it")
+            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; correct the MJCF or its write_mjcf")
     _check_hubs(vehicle, model)
 
 
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again."""
+    """Refuses a model whose tyres cannot be fully compressed: past its hub a road makes the tyre longer again."""
     kind, data = vehicle.kind, mujoco.MjData(model)
 
     def read(tyre: str) -> float:
@@ -314,7 +314,7 @@ def has_geometry(vehicle: Vehicle) -> bool:
     """Returns True if the model is linear for small motions only, whatever its parameters.
 
     Masses, weights or levers of tendons and actuators then change with the position, a spring or damper is a polynomial, or a
-    sensor reads what is no sum of positions, velocities and accelerations, as the velocity of a point of a body that turns.
+    sensor does not read a sum of positions, velocities and accelerations, such as the velocity of a point of a turning body.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)

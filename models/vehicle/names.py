@@ -41,9 +41,9 @@ ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat
 CLASSES = "ABCDEFGH"  # of ISO 8608
 BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
 ROAD_SYNTAX = (
-    f"give {', '.join(ROAD_KINDS)}, each with :NAME=VALUE for its numbers, as in pothole:depth=0.03:length=2, or a .csv, .txt or "
-    ".crg file, as in road.csv:height_unit=mm; or a rig's drive file, as in rig:file=drive.csv; loads may be added, as in "
-    "bump + brake:g=0.5"
+    f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2; or a .csv, .txt or "
+    ".crg file, such as road.csv:height_unit=mm; or the drive file of a rig, such as rig:file=drive.csv. Add loads with +, such "
+    "as bump + brake:g=0.5"
 )
 SETTINGS = r"(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)"
 FILE = re.compile(rf"(?P<path>.+\.(?P<suffix>csv|txt|crg)){SETTINGS}", re.IGNORECASE | re.DOTALL)
@@ -61,8 +61,8 @@ def named_file(text: str) -> tuple[str, str] | None:
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
 PLUS = " + "  # between the loads of a description
 LOAD_SYNTAX = (
-    f"give {', '.join(LOAD_KINDS)}, each with :NAME=VALUE for its numbers, as in brake:g=0.5:start=1:rise=0.2:hold=2 or "
-    "payload:mass=100:x=-1.2, or a .csv file"
+    f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
+    "payload:mass=100:x=-1.2; or a .csv file"
 )
 NAMED = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILED = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
@@ -92,7 +92,7 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
 
 
 def variant(part: str) -> str:
-    """Returns the end of the name, in tables, of a controller's run without a part; empty for a run as built."""
+    """Returns the end of the name, in tables, of a controller's run without a part; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
@@ -102,7 +102,7 @@ def logged_variant(part: str) -> str:
 
 
 def logged_part(name: str, controller: str) -> str:
-    """Returns the part that a logged run leaves out, from its name; empty for a run as built."""
+    """Returns the part that a logged run omits, from its name; empty for the implemented loop."""
     part = name.removeprefix(f"{controller}-no_") if name != controller else ""
     return part if part in WITHOUT else ""
 

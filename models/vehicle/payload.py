@@ -39,7 +39,7 @@ def laden(
     heavier = dict(parameters)
     shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
     if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:
-        raise InputError("[payload]: this vehicle has no sprung_mass that goes up and down; leave it out")
+        raise InputError("[payload]: this vehicle has no sprung_mass that moves vertically; omit the section")
     springs = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
     if springs:
         raise InputError(
@@ -79,7 +79,7 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
         if key in PLACE:
             number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; leave {key} out")
+            raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; omit {key}")
     if "mass" not in given:
         raise InputError(f"{where} mass is missing; give it in kg")
     with error_in(where):

@@ -32,10 +32,10 @@ class WeightedSum:
     """Row of z: a weight times a sum of signals, through a filter.
 
     Attributes:
-        name: its name, or that of its only signal.
-        weight: above 0.
+        name: name of the sum, or of its only signal.
+        weight: weight of the sum, above 0.
         terms: factor of each signal.
-        filter: from the weighted sum to z; None for none.
+        filter: filter from the weighted sum to z; None for no filter.
     """
 
     given_as = "a weighted sum, such as one of vehicle.sums"
@@ -107,7 +107,7 @@ def read_performance(
             continue
         if signal == ROAD:
             if not isinstance(given, Mapping) or "weight" in given:
-                raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
+                raise InputError(f"{where} = {quoted(given)} is not a filter; give a numerator and a denominator, and no weight")
             road_filter = _filter(where, given, integrates=False)
             continue
         if signal not in outputs:
@@ -120,7 +120,7 @@ def read_performance(
         check_weight(where, weight)
         weights[signal] = float(weight)
     if not any(weights.values()) and not sums:
-        raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(outputs)}")
+        raise InputError(f"[performance] has no weight above 0; give at least one, to: {listing(outputs)}")
     return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
 
 
@@ -141,7 +141,7 @@ def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with the contents of other files in place of their names, and those files.
+    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
 
     Raises:
         InputError: the text is not TOML, or one of these files is missing or wrong.
@@ -164,7 +164,7 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
 
 
 def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
-    """Returns the data of a vehicle file's text with SI numbers in place of numbers with units, such as "22 N/mm"."""
+    """Returns the data of a vehicle file's text with SI numbers instead of numbers with units, such as "22 N/mm"."""
     if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
         return data
     from models.vehicle.written_units import in_si
@@ -257,10 +257,10 @@ def weighted_errors_of(
     """Returns the weighted errors of a controller, or None if it has none; arguments and errors as for `read_weighted_errors`.
 
     Args:
-        parts: of the controller's section.
+        parts: parts of the controller's section.
 
     Raises:
-        InputError: there is no linear claim of the controller.
+        InputError: linear analysis does not apply to the controller.
     """
     if not given:
         return None
@@ -283,7 +283,7 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
         return ()
     given = entry["loads"]
     if not isinstance(given, Mapping) or not given:
-        raise InputError(f"{where} loads = {quoted(given)} is no table; give {{ load = so much as counts as 1 m/s of road }}")
+        raise InputError(f"{where} loads = {quoted(given)} is not a table; give {{ load = value that equals 1 m/s of road }}")
     for name, value in given.items():
         if name not in loads:
             raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
@@ -297,7 +297,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
 
     Args:
         usual: the value if the section has none.
-        period: of `[implementation]`; None without one.
+        period: sample period of `[implementation]`; None without one.
 
     Raises:
         InputError: the value is not allowed, or there is no sample period.
@@ -306,6 +306,6 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     if value and period is None:
         raise InputError(
             f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
-            "seconds, or leave sampled out"
+            "seconds, or omit sampled"
         )
     return value

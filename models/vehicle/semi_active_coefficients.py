@@ -62,9 +62,9 @@ def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array,
     """Returns the coefficients with the limits of curved dampers at velocities.
 
     Args:
-        of: what the dampers of N vehicles can be.
+        of: ranges of the dampers of N vehicles.
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
-        which: of the N.
+        which: selected vehicles of the N.
     """
     if of.bent is None:
         return numbers

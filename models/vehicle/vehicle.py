@@ -54,13 +54,13 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     """Returns the kind of vehicle of that name: a shipped one, or one with `.py` and `.xml` in a folder of the user's.
 
     Raises:
-        InputError: there is no such kind, or the user's own code is wrong.
+        InputError: the kind does not exist, or the user's own code is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
-        beside = f", or beside the vehicle file: {name}.py and {name}.xml" if folder else ""
+        beside = f", or next to the vehicle file: {name}.py and {name}.xml" if folder else ""
         raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
     from models.kinds.user_kind import read_kind
 
@@ -78,8 +78,8 @@ class Vehicle(ShownVehicle):
         kind: equations and MJCF.
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
-        controllers: by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
+        controllers: controllers by name, without `passive` and `state`, which always exist.
+        text: the vehicle file, as read, with the matrices of laws instead of the files that it names; it goes into the logs.
             Laws in Python stay named.
         source: path of the file, for messages.
         limits: limits of the hardware.
@@ -88,10 +88,10 @@ class Vehicle(ShownVehicle):
         filters: filter from a weighted signal to z, by signal; signals of constant weight have none.
         road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
-        curves: of dampers and springs, by the parameter that each replaces.
-        dampers: adjustable dampers in place of actuators, by force.
+        curves: curves of dampers and springs, by the parameter that each curve replaces.
+        dampers: adjustable dampers instead of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
-        force_limits: limits with those of actuators that push, for the controllers that drive these in place of the dampers.
+        force_limits: limits with those of actuators that push, for the controllers that drive these instead of the dampers.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -130,7 +130,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
         Raises:
-            InputError: a parameter is unknown or not allowed, or they are no vehicle together.
+            InputError: a parameter is unknown or not allowed, or they are not a vehicle together.
 
         Example:
             >>> from models import read_vehicle
@@ -212,7 +212,7 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
-        """The vehicle with ideal force actuators in place of its adjustable dampers."""
+        """The vehicle with ideal force actuators instead of its adjustable dampers."""
         if not self.dampers:
             return self
         names = {name for damper in self.adjustable for name in (damper.coefficient, damper.missing)}
@@ -235,15 +235,15 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
 
         Raises:
-            InputError: some drive dampers, others actuators that push.
+            InputError: some controllers drive dampers, others force actuators.
         """
         named = [name for name in names if name in self.controllers]
         pushing = [name for name in named if self.driven_by(name) is not self]
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
-                f"{listing(pushing)} drive actuators that push, and {listing(others)} adjustable dampers; this command takes "
-                "one sort: name the controllers of one with --controller"
+                f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
+                "one sort: select controllers of one sort with --controller"
             )
         return self.with_force_actuators if pushing else self
 
@@ -310,7 +310,7 @@ class Vehicle(ShownVehicle):
         """Returns the output signals and, after them, the sums in z without their weights.
 
         Args:
-            values: with the p output signals along an axis.
+            values: values with the p output signals along an axis.
             axis: the axis.
         """
         if not self.sums:
@@ -371,7 +371,7 @@ class Vehicle(ShownVehicle):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it"
+                f"--save {path}: the vehicle file could not be read there ({error}); give a file next to it"
             ) from error
         return text
 
@@ -384,7 +384,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle with its parameters and weights checked together, which `dataclasses.replace` does not do.
 
         Raises:
-            InputError: they are no vehicle together, or do not go with its curves, dampers or filters.
+            InputError: the parts are not a vehicle together, or do not fit its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
         outputs = self.kind.whole_model(parameters).outputs
@@ -436,18 +436,17 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop to analyse; name another controller, or drive this one "
+                f"controller {name!r} is {what}, which has no linear loop to analyse; give another controller, or drive this one "
                 "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
 
 
-def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
+def read_vehicle(file: str | Path) -> Vehicle:
     """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
 
     Args:
-        file: its path, or name.
-        own_kinds: True if it may be of a user's own kind, whose Python is then run.
+        file: path or name of the vehicle file.
 
     Raises:
         InputError: the file is missing, not TOML, or a key is missing, unknown or not allowed: the message says file and key.
@@ -463,10 +462,6 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     with error_in(f"vehicle file {path}:"):
-        if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
-            raise InputError(
-                f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
-            )
         whole, files = whole_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
 
@@ -481,7 +476,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             such law can be run.
 
     Raises:
-        InputError: see `read_vehicle`; or it names a file for a law, which is read only for vehicle files, not for text.
+        InputError: an error of `read_vehicle`, or a law in a file of its own, which is read only for vehicle files, not for text.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

@@ -35,7 +35,7 @@ class WeightedErrors:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The weights as `tolerance` of a vehicle file has them."""
+        """The weights as in `tolerance` of a vehicle file."""
         return {name: {"weight": _record(one)} for name, one in self.weights.items()}
 
 
@@ -45,7 +45,7 @@ def read_weighted_errors(
     """Reads the entries of a `tolerance` that are tables.
 
     Args:
-        given: those entries.
+        given: entries of the section.
         others: names of its other entries.
 
     Raises:
@@ -81,7 +81,7 @@ def _weight(where: str, given: Any) -> Filter:
 
 
 def _record(one: Filter) -> dict[str, Any]:
-    """Returns a filter as a vehicle file has it."""
+    """Returns a filter as in a vehicle file."""
     if one.name:
         return {"filter": one.name}
     ((above, below),) = one.sections

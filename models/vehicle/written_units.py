@@ -19,10 +19,10 @@ SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_
 
 
 def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
-    """Returns the data of a vehicle file with SI numbers in place of numbers with units.
+    """Returns the data of a vehicle file with SI numbers instead of numbers with units.
 
     Args:
-        kind: of the vehicle, whose parameters and signals have units.
+        kind: kind of the vehicle, whose parameters and signals have units.
 
     Raises:
         InputError: a unit is unknown, or of another dimension than its key.
@@ -58,7 +58,7 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
     """Returns a value of a vehicle file in SI units.
 
     Args:
-        units: of the value, see above, or a function from the value to them; None for a value without unit.
+        units: units of the value, see above, or a function from the value to them; None for a value without unit.
         path: names of its sections, and its key.
     """
     units = units(value) if callable(units) and not isinstance(value, list) else units
@@ -73,14 +73,14 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
 
 
 def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
-    """Returns `[implementation]` with a delay in samples in place of one with a unit of time."""
+    """Returns `[implementation]` with a delay in samples instead of one with a unit of time."""
     delay, period = section.get("delay"), section.get("sample_period")
     seconds = in_unit(delay, "s", "[implementation] delay")
     if seconds is delay:
         return section
     if isinstance(period, bool) or not isinstance(period, (int, float)) or not period > 0:
         raise InputError(
-            f"[implementation] delay = {quoted(delay)} is a time, and there is no sample period; give it, as in "
+            f"[implementation] delay = {quoted(delay)} is a time, and there is no sample period; give a sample period, as in "
             'sample_period = "5 ms", or give delay as a number of samples'
         )
     return {**section, "delay": round(seconds / period, 9)}

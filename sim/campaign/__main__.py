@@ -15,11 +15,13 @@ from sim.command.road_options import add_exported
 from sim.physics import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
+CHECKS = ("runs", "seed")  # options of --verify, and of all else
+RUNS = ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "best", "subject_to", "save", "exported")
+NAMES = {"subject_to": "subject-to", "exported": "as"}
 
 EPILOG = """
 A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
-the reason. The campaign goes on with the same file of the law only; --verify runs it, and the Python of a kind of
-vehicle of your own, only if FILE is named as well.
+the reason. The campaign goes on with the same file of the law only.
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault, or nothing
 is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted:
@@ -43,11 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.verify is None and options.file is None:
         raise InputError("no campaign was named; give a campaign file (TOML), or --verify with a folder of results")
-    for name in ("runs", "seed") if options.verify is None else ():
-        if name in options.given:
-            raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
-    if options.verify is not None and options.exported is not None:
-        raise InputError("--verify drives a controller as its campaign did, and finds the code there; leave --as out")
+    for name in CHECKS if options.verify is None else RUNS:
+        if name in options.given or (name == "subject_to" and options.subject_to):
+            which = "is for --verify" if name in CHECKS else "is for running a campaign, and --verify checks one"
+            raise InputError(f"--{NAMES.get(name, name)} {which}; omit it")
     from sim.campaign.command import check_results, run_campaign
 
     return run_campaign(options) if options.verify is None else check_results(options)
@@ -55,48 +56,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(
-        "sim.campaign", "Runs every combination that a campaign file names, and compares with linear predictions.", EPILOG
+        "sim.campaign", "Simulate all combinations in a campaign file, and compare them with linear predictions.", EPILOG
     )
     parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="campaign file (TOML)")
     parser.add_argument(
-        "--results", type=Path, metavar="DIR", help="folder of the results (default: FILE without .toml, and -results)"
+        "--results", type=Path, metavar="DIR", help="folder of the results (default: campaign-results for campaign.toml)"
     )
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw ride against road holding, a point a controller (.png or .svg)"
+        "--picture", type=Path, metavar="FILE", help="draw ride over road holding, a point for each controller (.png or .svg)"
     )
     parser.add_argument(
         "--best",
         metavar="METRIC",
-        help="say which controller, or variant of a law that is drawn, has the least of this metric over all runs: "
-        "ride, peak_travel, dynamic_load, off_ground, force_rms, force_peak, at_stops, or a metric's column of the results",
+        help="find the controller, or the sampled variant of a law, with the smallest value of this metric over all runs: "
+        "ride, peak_travel, dynamic_load, off_ground, force_rms, force_peak, at_stops, or a metric column of the results",
     )
     parser.add_argument(
         "--subject-to",
         action="append",
         metavar="METRIC:LIMIT",
-        help="of those only that have at most this of another metric, in SI units (m, m/s2, N; shares of time are 0 to 1); may "
-        "be repeated",
+        help="limit of another metric for --best, in SI units (m, m/s2, N; shares of time from 0 to 1), for example "
+        "peak_travel:0.08; may be repeated",
     )
     add_exported(parser)
-    parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best one")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best controller")
     parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
-    parser.add_count("--batch", "most runs in a batch", "what is done in a few seconds", 1, RUNS_AT_ONCE)
+    parser.add_count("--batch", "largest number of runs in a batch", "a few seconds of work", 1, RUNS_AT_ONCE)
     parser.add_argument(
         "--ray",
         nargs="?",
         const=HERE,
         metavar="ADDRESS",
-        help="run on a Ray cluster (default address: one of this machine's cores)",
+        help="run on a Ray cluster: HOST:PORT of its head, or auto (default without ADDRESS: the cores of this machine)",
     )
     parser.add_argument(
         "--verify",
         type=Path,
         metavar="DIR",
-        help="check a folder of finished results: its checksums, the inputs of every row, and by driving some runs again",
+        help="check a folder of finished results: its checksums, the inputs of each row, and some runs by repeating them",
     )
-    parser.add_count("--runs", "how many runs --verify drives again", "16", 1, MOST_RUNS, 16)
-    parser.add_count("--seed", "which ones", "0", 0, 2**63 - 1, 0)
-    parser.add_printed(
-        "a table for every road and speed: rms, 95 %%, prediction", "print only which controller is best at what, over all runs"
-    )
+    parser.add_count("--runs", "number of runs that --verify repeats", "16", 1, MOST_RUNS, 16)
+    parser.add_count("--seed", "seed of the selection of these runs", "0", 0, 2**63 - 1, 0)
+    parser.add_printed("a table for each road and speed", "print only the comparison of controllers over all runs")
     return parser

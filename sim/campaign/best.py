@@ -6,18 +6,18 @@ Candidates are all controllers, and every variant of those whose laws are drawn.
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
 from models.common.toml_edit import section_lines
 from models.figures.outputs import CAMPAIGN_SUM
+from models.roads.load_choice import setting
 from models.vehicle.in_place import with_sections
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle
@@ -25,18 +25,12 @@ from sim.campaign.file import Campaign
 from sim.campaign.law_keys import record_of
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
-from sim.campaign.summary import Standings
 from sim.studies.ride.metrics import Metric, metrics_of
-from sim.studies.ride.standing import KEYS, MEASURES, Standing, columns_of, digits
+from sim.studies.ride.standing import columns_of, over_runs
 
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
-LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
-MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
 SIGNED = ("at_end",)
-SIGNED_LIMITS = ("power", "energy", "dive", "squat")
-UNITS = {"ride": "m/s2", "peak_travel": "m", "force_rms": "N", "force_peak": "N"}  # of `KEYS`; shares have none
-NEAREST = 3  # candidates next to the best that are named
 
 
 @dataclass(frozen=True)
@@ -44,19 +38,14 @@ class Request:
     """The metric of `--best` and the limits of `--subject-to`.
 
     Attributes:
-        metric: of which the least is best.
+        metric: metric that is minimised.
         limits: the most that other metrics may be, in SI units.
-        units: of the limits; empty for numbers without one.
+        units: units of the limits; empty for numbers without one.
     """
 
     metric: str
     limits: Mapping[str, float]
     units: Mapping[str, str]
-
-    @property
-    def metrics(self) -> tuple[str, ...]:
-        """All metrics that are asked for."""
-        return tuple(dict.fromkeys((self.metric, *self.limits)))
 
     @property
     def words(self) -> str:
@@ -69,14 +58,13 @@ class Choice:
     """The best of a vehicle's controllers, or the one nearest to the limits.
 
     Attributes:
-        vehicle: its name in the campaign.
-        request: what was asked for.
+        vehicle: name of the vehicle in the campaign.
+        request: request of the user.
         candidate: the controller; None if none has numbers.
         values: drawn keys of its law.
-        numbers: of the metrics that were asked for.
-        within: how many candidates are within the limits; 0 if the candidate is only the nearest.
-        count: how many candidates there are.
-        near: relative distances of the candidates that the table's digits do not tell from the best, by name.
+        numbers: values of the requested metrics.
+        within: number of candidates within the limits; 0 if the candidate is only the nearest.
+        count: number of candidates.
     """
 
     vehicle: str
@@ -86,7 +74,6 @@ class Choice:
     numbers: Mapping[str, float]
     within: int
     count: int
-    near: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def misses(self) -> dict[str, float]:
@@ -96,7 +83,7 @@ class Choice:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The choice as JSON has it: the controller, or the nearest one if none is within the limits."""
+        """The choice as in JSON: the controller, or the nearest one if none is within the limits."""
         candidate, request = self.candidate, self.request
         about = {"vehicle": self.vehicle, "metric": request.metric, "limits": dict(request.limits)}
         about |= {"within": self.within, "of": self.count, "best": None, "nearest": None}
@@ -111,104 +98,69 @@ class Choice:
         """The choice on one line."""
         request, candidate = self.request, self.candidate
         if candidate is None:
-            absent = f"has {listing(request.metrics)} of all runs, as some broke off"
+            absent = f"has {listing([request.metric, *request.limits])} of all runs, as some broke off"
             return f"{self.vehicle}: none of {self.count} {absent}; nothing is best"
         keys = "".join(f", {key} {value:.6g}" for key, value in self.values.items())
         numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.numbers.items())
         if self.within:
             limits = f" within {request.words}" if request.limits else ""
             count = f"; {self.within} of {self.count} are within" if request.limits else f"; of {self.count}"
-            near = [f"{name} within {percent(share)}" for name, share in self.near.items()]
-            others = f", and {len(near) - NEAREST} more" if len(near) > NEAREST else ""
-            tied = f"; and {', '.join(near[:NEAREST])}{others}" if near else ""
-            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}{tied}"
-        missed = " and ".join(self._missed(name, by) for name, by in self.misses.items())
-        nearest = f"{candidate.name}{keys} is nearest, and misses {missed}"
+            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}"
+        missed = []
+        for name, by in self.misses.items():
+            share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
+            missed.append(f"{name} by {by:.3g} {request.units[name]}".rstrip() + share)
+        nearest = f"{candidate.name}{keys} is nearest, and misses {' and '.join(missed)}"
         return f"{self.vehicle}: none of {self.count} is within {request.words}; {nearest}"
-
-    def _missed(self, name: str, by: float) -> str:
-        """A missed limit in words: by how much, in its unit and as its share."""
-        limit = self.request.limits[name]
-        far = f"{name} by {by:.3g} {self.request.units[name]}".rstrip()
-        return f"{far} ({percent(by / abs(limit))})" if limit else far
 
 
 def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
     """Returns what the options ask for; None without `--best`.
 
     Raises:
-        InputError: a metric is unknown, or none of a vehicle's; a limit is no number; options do not go together.
+        InputError: a metric is unknown or missing for a vehicle; a limit is not a number; options cannot be combined.
     """
     if best is None:
         for option, given in (("--subject-to", bool(limits)), ("--save", save is not None)):
             if given:
-                raise InputError(f"{option} says what --best chooses; give it with --best METRIC, or leave it out")
+                raise InputError(f"{option} is for the choice of --best; give it with --best METRIC, or omit it")
         return None
     _check_metric("--best", best, campaign)
     read: dict[str, float] = {}
+    units: dict[str, str] = {}
     for text in limits:
         metric, colon, number = text.rpartition(":")
         where = f"--subject-to {text}"
         if not colon:
             raise InputError(f"{where} has no limit; {GIVE}")
         _check_metric("--subject-to", metric, campaign)
-        try:
-            limit = float(number)
-        except ValueError:
-            limit = math.nan
-        if not math.isfinite(limit):
-            raise InputError(f"{where}: {quoted(number)} is no finite number; {GIVE}")
-        if limit < 0 and not _may_be_negative(metric, campaign):
-            raise InputError(f"{where}: {metric} is never below 0; {GIVE}")
+        unit = next(_known(vehicle, campaign)[metric][0].unit.removeprefix("-") for vehicle in campaign.vehicles.values())
         if metric in read:
             raise InputError(f"{where}: {metric} has two limits; give the smaller one")
-        read[metric] = limit
+        read[metric], units[metric] = setting(f"--subject-to {metric}", number, unit or "1"), unit
     if save is not None:
         _check_save(campaign, save)
-    return Request(best, read, {name: _unit(name, campaign) for name in read})
-
-
-def _may_be_negative(metric: str, campaign: Campaign) -> bool:
-    """Returns True for a metric that is a power, an energy, or an angle against level ground."""
-    known = [_by_name(vehicle, campaign.loaded).get(metric) for vehicle in campaign.vehicles.values()]
-    return any(one is not None and one.what in SIGNED_LIMITS for one in known)
-
-
-def _unit(metric: str, campaign: Campaign) -> str:
-    """Returns the SI unit of a metric; empty for a number without one."""
-    if metric in KEYS:
-        return UNITS.get(metric, "")
-    unit = next(_by_name(vehicle, campaign.loaded)[metric].unit for vehicle in campaign.vehicles.values())
-    return "" if unit == "-" else unit
+    return Request(best, read, units)
 
 
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     """Refuses a metric that a vehicle lacks."""
-    known = {key for vehicle in campaign.vehicles.values() for key in _known(vehicle, campaign.loaded)} | {*KEYS}
-    if name not in known:
-        meant = [key for key in KEYS if name and name in key]
-        unknown = f"{quoted(name)} is no metric of this campaign{f', and {listing(meant)} is' if meant else ''}"
-        raise InputError(
-            f"{option} {unknown}; give {listing(KEYS)}, or a metric's column of its results, as sprung_acceleration_weighted"
-        )
     for vehicle, one in campaign.vehicles.items():
-        if name not in (there := _known(one, campaign.loaded)):
+        if name not in (there := _known(one, campaign)):
             raise InputError(f"{option} {name}: vehicle {vehicle!r} has no such metric; it has {listing(there)}")
 
 
-def _known(vehicle: Vehicle, loaded: bool) -> list[str]:
-    """Returns the names of all metrics of a vehicle: those of the table of standings, and columns of the results."""
-    return [*(key for key, names in columns_of(vehicle).items() if names), *_by_name(vehicle, loaded)]
-
-
-def _by_name(vehicle: Vehicle, loaded: bool) -> dict[str, Metric]:
-    return {metric.name: metric for metric in metrics_of(vehicle, loaded) if metric.what not in SIGNED}
+def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
+    """Returns the metrics of a vehicle: columns of the results, and by each of `KEYS` those of which it is the largest."""
+    own = {metric.name: metric for metric in metrics_of(vehicle, campaign.loaded) if metric.what not in SIGNED}
+    largest = {key: tuple(own[name] for name in names) for key, names in columns_of(vehicle).items() if names}
+    return {name: (metric,) for name, metric in own.items()} | largest
 
 
 def _check_save(campaign: Campaign, path: Path) -> None:
     """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
     if len(campaign.vehicles) > 1:
-        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; name one vehicle in it")
+        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; list one vehicle in it")
     ((name, vehicle),) = campaign.vehicles.items()
     for controller in campaign.variants[name]:
         check_name("--save:", controller + SUFFIX, ())
@@ -217,51 +169,26 @@ def _check_save(campaign: Campaign, path: Path) -> None:
     with_sections(vehicle.text_for(path), [])
 
 
-def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> list[Choice]:
-    """Returns the choice of every vehicle.
-
-    Args:
-        standings: of all candidates, by vehicle.
-    """
-    return [_choice(plan, store, request, vehicle, some) for vehicle, some in standings.items()]
-
-
-def _choice(plan: Plan, store: Store, request: Request, vehicle: str, standings: Mapping[Candidate, Standing]) -> Choice:
-    candidates = plan.candidates(vehicle)
-    own = _by_name(plan.campaign.vehicles[vehicle], plan.campaign.loaded)
-    columns = [name for name in request.metrics if name not in KEYS]
-    table = store.read(["run", *columns])
-    values = {name: table[name].to_numpy().astype(float) for name in columns}
+def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
+    """Returns the choice of a vehicle."""
+    candidates, known = plan.candidates(vehicle), _known(plan.campaign.vehicles[vehicle], plan.campaign)
+    asked = {name: known[name] for name in (request.metric, *request.limits)}
+    table = store.read(list(dict.fromkeys(metric.name for some in asked.values() for metric in some)))
+    values = {name: table[name].to_numpy().astype(float) for name in table.column_names}
     numbers: dict[Candidate, dict[str, float]] = {}
     for candidate, runs in candidates.items():
-        here = {name: _over_runs(own[name], values[name][runs]) for name in columns}
-        chosen = {name: here.get(name, standings[candidate].values.get(name)) for name in request.metrics}
-        if all(value is not None and math.isfinite(value) for value in chosen.values()):
-            numbers[candidate] = {name: float(value) for name, value in chosen.items() if value is not None}
-    within = [one for one, chosen in numbers.items() if all(chosen[name] <= limit for name, limit in request.limits.items())]
+        found = {name: float(np.max([over_runs(one, values[one.name][runs]) for one in some])) for name, some in asked.items()}
+        if all(map(math.isfinite, found.values())):
+            numbers[candidate] = found
+    within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
     if best is None:
         best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
-    of_law = plan.campaign.variants[vehicle].get(best.controller, ()) if best is not None else ()
-    drawn = of_law[best.variant] if best is not None and best.variant is not None else {}
-    near = _near(request.metric, best, {one: numbers[one][request.metric] for one in within}) if best in within else {}
-    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates), near)
-
-
-def _near(metric: str, best: Candidate | None, values: Mapping[Candidate, float]) -> dict[str, float]:
-    """Returns relative distances from the best, by name, of the candidates with the same digits in the table of standings."""
-    if best is None or not values[best]:
-        return {}
-    scale, least = next((one.scale for one in MEASURES if one.key == metric), 1.0), values[best]
-    same = [one for one in values if one != best and digits(scale * values[one]) == digits(scale * least)]
-    return {one.name: values[one] / least - 1 for one in sorted(same, key=values.__getitem__)}
-
-
-def _over_runs(metric: Metric, values: Array) -> float:
-    """Returns a metric over all runs: the largest of peaks, the mean of shares and work, the root mean square of all else."""
-    if metric.what in LARGEST_OF:
-        return float(values.max())
-    return float(values.mean()) if metric.what in MEAN_OF else float(np.sqrt(np.mean(values**2)))
+    if best is None:
+        return Choice(vehicle, request, None, {}, {}, 0, len(candidates))
+    of_law = plan.campaign.variants[vehicle].get(best.controller, ())
+    drawn = of_law[best.variant] if best.variant is not None else {}
+    return Choice(vehicle, request, best, drawn, numbers[best], len(within), len(candidates))
 
 
 def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
@@ -272,14 +199,14 @@ def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:
     """Writes the vehicle file with the chosen controller, whole or not at all; returns the controller's name in it.
 
-    A variant becomes a section NAME_tuned; another controller stands in the file as it is. A comment says where it comes from.
+    A variant becomes a section NAME_tuned; another controller keeps its section. A comment contains the origin.
 
     Args:
-        command: that was called.
+        command: command line that was called.
         identity: checksum of the campaign.
 
     Raises:
-        InputError: it cannot be written, or would not be read back as it is.
+        InputError: the file cannot be written, or would not be read back with the same values.
     """
     candidate, vehicle = choice.candidate, campaign.vehicles[choice.vehicle]
     assert candidate is not None, "there is one"

@@ -1,26 +1,28 @@
 """A campaign file (TOML): which vehicles, controllers, roads, speeds and seeds are combined, and which parameters are sampled."""
 
 import hashlib
+import itertools
 import unicodedata
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys
+from models.common.checks import AT_LEAST_ONE, check, check_keys
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, read_text
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle.vehicle import Vehicle, read_vehicle
-from sim.campaign import MOST_RUNS
-from sim.campaign.samples import read_number, read_samples
+from sim.campaign.samples import Values, read_count, read_number, read_samples
 from sim.runs.run import sample_times
 
 KEYS = ("vehicles", "controllers", "roads", "speeds", "seeds", "duration", "settle", "timestep", "samples")
+TEXTS = Annotated[tuple[str, ...], AT_LEAST_ONE]
+NUMBERS = Annotated[tuple[str | float, ...], AT_LEAST_ONE]  # with their units, or without
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 
 
@@ -29,17 +31,17 @@ class Campaign:
     """A campaign, as its file says.
 
     Attributes:
-        vehicles: as they are read, by the name that the file has for them.
+        vehicles: vehicles by their names in the campaign file.
         controllers: names; every vehicle has them all.
-        roads: what was asked for.
-        speeds: [m/s].
-        seeds: of the random roads; other roads run once.
-        duration: of every run [s].
+        roads: roads that are requested.
+        speeds: speeds of the vehicle [m/s].
+        seeds: seeds of the random roads; other roads run once.
+        duration: duration of every run [s].
         settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
-        timestep: [s].
+        timestep: timestep of the physics [s].
         samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
-        variants: of every vehicle and controller whose law is drawn, by variant: values by key.
-        sample_seed: of samples and variants.
+        variants: values by key for each variant, of every vehicle and controller whose law is drawn.
+        sample_seed: seed of samples and variants.
         text: the file.
     """
 
@@ -51,8 +53,8 @@ class Campaign:
     duration: float
     settle: float
     timestep: float
-    samples: Mapping[str, tuple[Mapping[str, float], ...]]
-    variants: Mapping[str, Mapping[str, tuple[Mapping[str, float], ...]]]
+    samples: Mapping[str, tuple[Values, ...]]
+    variants: Mapping[str, Mapping[str, tuple[Values, ...]]]
     sample_seed: int
     text: str
 
@@ -72,12 +74,13 @@ class Campaign:
         return round(self.settle / self.timestep)
 
     @property
-    def sources(self) -> str:
-        """Everything that decides the numbers, as text: the file, and those that it names."""
+    def digest(self) -> str:
+        """Checksum of everything that decides the numbers: the file, and those that it names."""
         # Tables before surfaces, whatever their order: folders that are there know a campaign by this.
         roads = sorted(self.roads, key=lambda road: road.surface is not None)
         measured = [line for road in roads for line in _measured(road)]
-        return "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
+        sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
+        return hashlib.sha256(sources.encode()).hexdigest()
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -89,33 +92,29 @@ def read_campaign(path: Path) -> Campaign:
     return parse_campaign(read_text(path, "campaign file", "give a TOML file"), path)
 
 
-def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
-    """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
-
-    Args:
-        own_kinds: as for `read_vehicle`.
-    """
+def parse_campaign(text: str, path: Path) -> Campaign:
+    """Returns a campaign from the text of its file; the files that it names are in the folder of `path`."""
     with error_in(f"campaign file {path}:"):
-        return _parse(text, path.parent, own_kinds)
+        return _parse(text, path.parent)
 
 
-def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
+def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     check_keys("", data, KEYS)
-    names = _texts(data, "vehicles", "quarter_car")
-    vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name, own_kinds) for name in names}
+    names = _listed(data, "vehicles", TEXTS)
+    vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
-    controllers = tuple(unicodedata.normalize("NFC", name) for name in _texts(data, "controllers", "I"))
+    controllers = tuple(unicodedata.normalize("NFC", name) for name in _listed(data, "controllers", TEXTS))
     _check_once("controllers", controllers, controllers)
     for name, vehicle in vehicles.items():
         for controller in controllers:
             if controller not in vehicle.controller_names:
                 raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
     vehicles = {name: vehicle.for_all(controllers) for name, vehicle in vehicles.items()}
-    roads = tuple(choose_road(road, folder) for road in _texts(data, "roads", "iso8608:class=C"))
+    roads = tuple(choose_road(road, folder) for road in _listed(data, "roads", TEXTS))
     a_vehicle = next(iter(vehicles.values()))
     _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])
-    written = _list(data, "speeds", "20.0")
+    written = _listed(data, "speeds", NUMBERS)
     speeds = tuple(read_number(speed, "speeds", 0.1, 200.0, "m/s") for speed in written)
     _check_once("speeds", written, speeds)
     duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6, "s"), data.get("timestep", 1e-3)
@@ -126,7 +125,7 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
     settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
-    drawn = read_samples(data.get("samples"), vehicles, controllers)
+    samples, variants, sample_seed = read_samples(data.get("samples"), vehicles, controllers)
     campaign = Campaign(
         vehicles=vehicles,
         controllers=controllers,
@@ -136,51 +135,33 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
         duration=duration,
         settle=settle,
         timestep=timestep,
-        samples=drawn.vehicles,
-        variants=drawn.laws,
-        sample_seed=drawn.seed,
+        samples=samples,
+        variants=variants,
+        sample_seed=sample_seed,
         text=text,
     )
-    for name, vehicle in vehicles.items():
-        for road in roads:
-            for speed in speeds:
-                _check_road(name, vehicle, road, speed, campaign)
+    for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, speeds):
+        built = road.build(vehicle, speed, campaign.seeds[0], speed * duration)
+        with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
+            built.check(vehicle, campaign.time)
     return campaign
-
-
-def _check_road(name: str, vehicle: Vehicle, road: RoadChoice, speed: float, campaign: Campaign) -> None:
-    built = road.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration)
-    with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
-        built.check(vehicle, campaign.time)
 
 
 def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
     """A list of seeds, or how many: 0, 1, ..."""
     seeds = data.get("seeds", 1)
-    if isinstance(seeds, int) and not isinstance(seeds, bool):
-        if not 1 <= seeds <= MOST_RUNS:
-            raise InputError(
-                f"seeds = {seeds} makes no runs, or far too many; give how many, from 1 to {MOST_RUNS}, or a list of them"
-            )
-        return tuple(range(seeds))
     if not isinstance(seeds, list) or not seeds:
-        raise InputError(f"seeds = {quoted(seeds)} is no number of seeds; give how many, or a list of whole numbers")
-    checked_seeds = tuple(check_seed(seed) for seed in seeds)
-    if len(set(checked_seeds)) < len(checked_seeds):
-        raise InputError("seeds has one twice; name each once")
-    return checked_seeds
+        return tuple(range(read_count(seeds, "seeds", ", or a list of seeds")))
+    checked = tuple(check_seed(seed) for seed in seeds)
+    _check_once("seeds", seeds, checked)
+    return checked
 
 
-def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
-    give = f"give a list, as in {key} = [{example}]"
+def _listed(data: Mapping[str, Any], key: str, annotation: Any) -> tuple[Any, ...]:
+    """Returns a list of the file, which has at least one value."""
     if key not in data:
-        raise InputError(f"{key!r} is missing, so there are no runs; {give}")
-    values = data[key]
-    if not isinstance(values, list):
-        raise InputError(f"{key} = {quoted(values)} is not a list; {give}")
-    if not values:
-        raise InputError(f"{key} = [] names none, so there are no runs; {give}")
-    return values
+        raise InputError(f"{key!r} is missing, so there are no runs; give a list")
+    return check(key, data[key], annotation)
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
@@ -188,8 +169,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:
-            twice = f" names {first[meant]} twice" if first[meant] == quoted(value) else None
-            raise InputError(f"{key}{twice or f': {first[meant]} and {quoted(value)} are the same'}; name each once")
+            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; list each once")
         first[meant] = quoted(value)
 
 
@@ -208,11 +188,3 @@ def _measured(road: RoadChoice) -> list[str]:
     named += [load.content for load in road.loads if load.content != load.text]
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]
-
-
-def _texts(data: Mapping[str, Any], key: str, example: str) -> Sequence[str]:
-    values = _list(data, key, f'"{example}"')
-    for value in values:
-        if not isinstance(value, str):
-            raise InputError(f"{key}: {quoted(value)} is not text in quotes")
-    return values

@@ -8,7 +8,9 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-from models.common.errors import InputError, listing, quoted
+import numpy as np
+
+from models.common.errors import InputError
 from models.laws.semi_active import LAWS
 from models.vehicle.controllers import ControllerEntry, read_controllers
 from models.vehicle.vehicle import Vehicle
@@ -22,27 +24,17 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
     Raises:
         InputError: the law is designed, in Python, or without keys, or the file has no such section.
     """
-    where, entry = f"controller {controller!r}", vehicle.controllers.get(controller)
-    if entry is None:
-        raise InputError(f"{where} is no section of the vehicle file, and has no law to be drawn; name another one")
-    if entry.semi_active is not None:
-        if not (keys := LAWS[entry.semi_active.name][2]):
-            raise InputError(f"{where}: its law {entry.semi_active.name} has nothing beside its name; draw another one's keys")
+    entry = vehicle.controllers.get(controller)
+    if entry is not None and entry.semi_active is not None and (keys := LAWS[entry.semi_active.name][2]):
         return {key: dict(entry.semi_active.numbers).get(key) for key in keys}
-    if entry.python is not None:
-        raise InputError(f"{where} is {entry.python.with_article}, whose numbers stand in its own file; draw another one's keys")
-    if entry.law is None:
+    if entry is None or entry.law is None:
         raise InputError(
-            f"{where} is designed, and the file has no law of it to be drawn; write its gain first, with python -m synth --save"
+            f"controller {controller!r} has no keys to be drawn in the vehicle file: a designed one, one in Python, and some "
+            "semi-active laws have none; draw another one's, or write its gain first, with python -m synth --save"
         )
     matrices = {name: value for name, value in entry.law.record.items() if isinstance(value, list)}
     rate: dict[str, float | None] = {"anti_windup": entry.law.anti_windup} if entry.law.anti_windup is not None else {}
-    return rate | {
-        f"{name}[{i}][{j}]": number
-        for name, matrix in matrices.items()
-        for i, row in enumerate(matrix)
-        for j, number in enumerate(row)
-    }
+    return rate | {f"{name}[{i}][{j}]": value for name, one in matrices.items() for (i, j), value in np.ndenumerate(one)}
 
 
 def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> dict[str, Any]:
@@ -70,15 +62,3 @@ def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) 
     section, model = {controller: record_of(vehicle, controller, values)}, vehicle.kind.whole_model(vehicle.parameters)
     read = read_controllers(section, model, vehicle.limits, vehicle.implementation, vehicle.kind, dampers=endings)
     return read[unicodedata.normalize("NFC", controller)]
-
-
-def check_key(vehicle: Vehicle, controller: str, key: str) -> float | None:
-    """Returns the file's value of a key of a law; None for a default.
-
-    Raises:
-        InputError: the law has no such key.
-    """
-    values = law_values(vehicle, controller)
-    if key not in values:
-        raise InputError(f"the law of controller {controller!r} has no key {quoted(key)}; it has {listing(values)}")
-    return values[key]

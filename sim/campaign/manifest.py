@@ -1,7 +1,6 @@
 """The plan of a campaign in its results folder: what it runs, with which gains and versions."""
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -10,18 +9,14 @@ from typing import Any
 
 import filelock
 
-from models.common.errors import InputError, first_few
+from models.common.errors import InputError
 from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import Driver
 
 NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
-FULL = "free some space or name another folder with --results; what is done is kept"
-ELSEWHERE = "name another folder, empty or new, with --results, or remove what is there"
-
-
-class FaultError(InputError):
-    """Folder contents that differ from those that a campaign wrote: damaged, or edited."""
+FULL = "free some space or give another folder with --results; what is done is kept"
+ELSEWHERE = "give another folder, empty or new, with --results, or remove what is there"
 
 
 # The gains of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
@@ -30,15 +25,14 @@ Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a campaign runs, from its beginning on.
+    """The content of a campaign, fixed at its beginning.
 
     Attributes:
         file: absolute path of the campaign file when the campaign began.
-        digest: checksum of everything that determines the numbers; see `digest`.
+        digest: checksum of everything that determines the numbers, see `Campaign.digest`.
         versions: versions of the packages that do.
         campaign: text of the campaign file.
         controllers: the gains.
-        columns: description of each column of the results, by name; see `sim.campaign.columns.described`.
         runs: number of runs.
     """
 
@@ -47,17 +41,31 @@ class Manifest:
     versions: Mapping[str, str]
     campaign: str
     controllers: Gains
-    columns: Mapping[str, Mapping[str, str]]
     runs: int
 
     def write(self, folder: Path) -> None:
         """Writes it into the results folder.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: the file cannot be written.
         """
         with whole_file(folder / NAME, "results", FULL) as path:
             path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8", newline="\n")
+
+    def check(self, folder: Path, digest: str, versions: Mapping[str, str], instead: str = ELSEWHERE) -> None:
+        """Checks that the campaign of its folder has a checksum and versions; `instead` is the advice of the message.
+
+        Raises:
+            InputError: the folder is of another campaign, or of other versions.
+        """
+        if self.digest != digest:
+            raise InputError(f"{folder} holds another campaign, of other files than these; {instead}")
+        for name, version in versions.items():
+            if self.versions.get(name) != version:
+                raise InputError(
+                    f"the campaign in {folder} was begun with {name} {self.versions.get(name)}, and here is {version}: its "
+                    f"numbers could differ; go on with that, or {instead}"
+                )
 
 
 def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
@@ -82,50 +90,13 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     with reading(path, "campaign plan", instead):
         whole = json.loads(path.read_text(encoding="utf-8"))
         names = [field.name for field in fields(Manifest)]
-        if not isinstance(whole, dict) or not {*names} <= {*whole}:
+        if not {*names} <= {*whole}:
             raise InputError(f"it does not have the entries {', '.join(names)}; restore it, or {instead}")
         return Manifest(**{name: whole[name] for name in names})
 
 
-def check_same(
-    manifest: Manifest,
-    folder: Path,
-    sources: str,
-    versions: Mapping[str, str],
-    columns: Mapping[str, Mapping[str, str]],
-    instead: str = ELSEWHERE,
-) -> None:
-    """Checks that a campaign can continue in a folder; `instead` is the advice of the message.
-
-    Raises:
-        InputError: the folder holds another campaign, one by other versions, or one whose results have other columns.
-    """
-    if manifest.digest != digest(sources):
-        raise InputError(f"{folder} holds another campaign, of other files than these; {instead}")
-    for name, version in versions.items():
-        if manifest.versions.get(name) != version:
-            raise InputError(
-                f"the campaign in {folder} was begun with {name} {manifest.versions.get(name)}, and here is {version}: its "
-                "numbers could differ; go on with that, or {instead}"
-            )
-    other = [name for name in dict.fromkeys([*manifest.columns, *columns]) if manifest.columns.get(name) != columns.get(name)]
-    if other:
-        raise InputError(
-            f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({first_few(other)}); go on "
-            f"with that version, or {instead}"
-        )
-
-
-def digest(sources: str) -> str:
-    """Returns the checksum that identifies a campaign."""
-    return hashlib.sha256(sources.encode()).hexdigest()
-
-
-def gains_of(
-    controllers: Mapping[str, Mapping[str, Driver]],
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """The gains, by vehicle and controller, as JSON has them, every digit; of a law in Python its checksum, and no code."""
-
+def gains_of(controllers: Mapping[str, Mapping[str, Driver]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Returns the gains by vehicle and controller for JSON, with every digit; for a law in Python its checksum."""
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
         for vehicle, some in controllers.items()
@@ -137,19 +108,16 @@ def locked(folder: Path) -> Iterator[None]:
     """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
-        InputError: it cannot be made or written, or another campaign is running in it.
+        InputError: the folder cannot be created or written, or another campaign is running in it.
     """
-    with made_folder(folder, "results", "name another folder with --results"):
+    with made_folder(folder, "results", "give another folder with --results"):
         lock = filelock.FileLock(folder / LOCK, timeout=0)
         try:
             lock.acquire()
-        except filelock.Timeout:
+        except OSError as error:  # also of a lock that is held
             raise InputError(
-                f"another campaign is running in {folder}; wait for it, or name another folder with --results"
-            ) from None
-        except OSError as error:
-            raise InputError(
-                f"results {folder}: cannot be locked ({error.strerror or error}); name another folder with --results"
+                f"another campaign is running in {folder}, or it cannot be locked ({error.strerror or 'locked'}); "
+                "wait for it, or name another folder with --results"
             ) from error
         try:
             for left in folder.glob(".*.part*"):

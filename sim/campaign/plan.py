@@ -1,8 +1,10 @@
 """The runs of a campaign: which there are, in what order, which are driven side by side, and how far they are."""
 
 import itertools
+import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
+from models.roads.choice import RoadChoice
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
+from sim.campaign.samples import Values, with_sample
 from sim.physics.run_blocks import runs_at_once
 from synth.controller.controller import Driver
 
@@ -22,24 +25,11 @@ FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 1
 
 
 @dataclass(frozen=True)
-class RunKey:
-    """Indices of a run into the lists of its campaign; the variant is 0 of a controller whose law is not drawn."""
-
-    vehicle: int
-    controller: int
-    road: int
-    speed: int
-    variant: int
-    sample: int
-    seed: int
-
-
-@dataclass(frozen=True)
 class Candidate:
     """A controller of a vehicle, or a variant of one whose law is drawn.
 
     Attributes:
-        controller: its name.
+        controller: name of the controller.
         variant: number of the variant; None for the law of the vehicle file.
     """
 
@@ -53,122 +43,164 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
+class RunBlock:
+    """The runs of a vehicle with a controller over a road at a speed, numbered in a row: variants slowest, seeds fastest.
+
+    Attributes:
+        start: number of the first run.
+        vehicle, controller: names in the campaign.
+        road, speed: the road, and the speed [m/s].
+        variants: drawn values of the law; None if it is not drawn.
+        samples: sampled values of the vehicle; a single empty one if none are sampled.
+        seeds: seeds of the road; only the first for a road without random heights.
+    """
+
+    start: int
+    vehicle: str
+    controller: str
+    road: RoadChoice
+    speed: float
+    variants: Sequence[Values] | None
+    samples: Sequence[Values]
+    seeds: Sequence[int]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of variants, samples and seeds."""
+        return len(self.variants or ({},)), len(self.samples), len(self.seeds)
+
+    @property
+    def stop(self) -> int:
+        """Returns the number after that of the last run."""
+        return self.start + math.prod(self.shape)
+
+    @property
+    def candidates(self) -> dict[Candidate, Array]:
+        """The controller or its variants, each with the numbers of its runs."""
+        numbers = [None] if self.variants is None else range(len(self.variants))
+        runs = np.split(np.arange(self.start, self.stop), len(numbers))
+        return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """Every run of a campaign, numbered: vehicles slowest, seeds fastest. Roads without a seed run once.
+    """Every run of a campaign, numbered: vehicles slowest, then controllers, roads and speeds. Roads without a seed run once.
 
     Attributes:
         campaign: the campaign.
-        controllers: by vehicle and name.
-        variants: of every vehicle, the drawn laws of each controller that has some.
+        controllers: drivers by vehicle and name.
+        variants: drawn laws of every vehicle, by controller.
+        roughness: IRIs of roads so far; kept for a while, as many runs share a road.
     """
 
     campaign: Campaign
     controllers: Mapping[str, Mapping[str, Driver]]
     variants: Mapping[str, Mapping[str, Sequence[Driver]]] = field(default_factory=dict)
+    roughness: dict[Hashable, dict[str, float]] = field(default_factory=dict)
 
     @cached_property
-    def _blocks(self) -> list[tuple[int, int, int, int, int]]:
-        """(first run, vehicle, controller, road, speed) of every combination, ascending; variant, sample and seed within."""
-        c, blocks, start = self.campaign, [], 0
-        for v, name in enumerate(c.vehicles):
-            for k, controller in enumerate(c.controllers):
-                drawn = len(c.variants[name].get(controller, ({},))) * len(c.samples[name])
-                for r, road in enumerate(c.roads):
-                    for s in range(len(c.speeds)):
-                        blocks.append((start, v, k, r, s))
-                        start += drawn * (len(c.seeds) if road.random else 1)
-        return [*blocks, (start, -1, -1, -1, -1)]
+    def blocks(self) -> list[RunBlock]:
+        """Every combination of vehicle, controller, road and speed, in the order of the runs."""
+        c, blocks, start = self.campaign, list[RunBlock](), 0
+        for vehicle, controller, road, speed in itertools.product(c.vehicles, c.controllers, c.roads, c.speeds):
+            drawn, seeds = c.variants[vehicle].get(controller), c.seeds if road.random else c.seeds[:1]
+            blocks.append(RunBlock(start, vehicle, controller, road, speed, drawn, c.samples[vehicle], seeds))
+            start = blocks[-1].stop
+        return blocks
 
     @property
     def count(self) -> int:
         """Returns the number of runs."""
-        return self._blocks[-1][0]
+        return self.blocks[-1].stop
 
     @cached_property
-    def _starts(self) -> Array:
-        return np.array([block[0] for block in self._blocks])
+    def _starts(self) -> list[int]:
+        return [block.start for block in self.blocks]
 
-    def key(self, run: int) -> RunKey:
-        """Returns the key of a run."""
-        start, v, k, r, s = self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1]
-        c = self.campaign
-        drawn, seed = divmod(run - start, len(c.seeds) if c.roads[r].random else 1)
-        variant, sample = divmod(drawn, len(c.samples[list(c.vehicles)[v]]))
-        return RunKey(v, k, r, s, variant, sample, seed)
+    def place(self, run: int) -> tuple[RunBlock, int, int, int]:
+        """Returns the block of a run, and its variant, sample and seed in it, by index."""
+        block = self.blocks[bisect_right(self._starts, run) - 1]
+        variant, sample, seed = map(int, np.unravel_index(run - block.start, block.shape))
+        return block, variant, sample, seed
 
-    def driver(self, key: RunKey) -> Driver:
-        """Returns the controller of a run."""
-        vehicle, controller = list(self.campaign.vehicles)[key.vehicle], self.campaign.controllers[key.controller]
-        drawn = self.variants.get(vehicle, {}).get(controller)
-        return self.controllers[vehicle][controller] if drawn is None else drawn[key.variant]
+    def driver(self, vehicle: str, candidate: Candidate) -> Driver:
+        """Returns the controller of a candidate."""
+        drawn = self.variants.get(vehicle, {}).get(candidate.controller)
+        return self.controllers[vehicle][candidate.controller] if drawn is None else drawn[candidate.variant or 0]
 
-    def candidates(self, vehicle: str) -> "dict[Candidate, Array]":
+    def candidates(self, vehicle: str) -> dict[Candidate, Array]:
         """Returns every controller of a vehicle, and every variant of a drawn one, with its runs."""
-        c = self.campaign
         runs: dict[Candidate, list[Array]] = {}
-        for (start, v, k, *_), (stop, *_) in itertools.pairwise(self._blocks):
-            if list(c.vehicles)[v] != vehicle:
-                continue
-            controller = c.controllers[k]
-            drawn = c.variants[vehicle].get(controller)
-            for i, some in enumerate(np.split(np.arange(start, stop), len(drawn or ((),)))):
-                candidate = Candidate(controller, None) if drawn is None else Candidate(controller, i)
+        for block in (one for one in self.blocks if one.vehicle == vehicle):
+            for candidate, some in block.candidates.items():
                 runs.setdefault(candidate, []).append(some)
         return {candidate: np.concatenate(some) for candidate, some in runs.items()}
-
-    def programmed(self, run: int) -> bool:
-        """Returns True if a law in Python drives the run."""
-        key = self.key(run)
-        name, controller = list(self.campaign.vehicles)[key.vehicle], self.campaign.controllers[key.controller]
-        return isinstance(self.controllers[name][controller], Programmed)
 
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
         """Yields the runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
 
         Args:
-            gaps: ascending.
-            most: asked before each batch how many runs it may have.
+            gaps: gaps, ascending.
+            most: function that returns how many runs the next batch may have; called before each batch.
         """
-        vehicles = list(self.campaign.vehicles.values())
+        ends = {block.vehicle: block.stop for block in self.blocks}
         for start, stop in gaps:
             while start < stop:
-                v = self.key(start).vehicle
-                same = next((first for first, u, *_ in self._blocks[:-1] if first > start and u != v), self.count)
-                size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
-                end = min(stop, same, start + min(size, most()))
+                name = self.place(start)[0].vehicle
+                size = runs_at_once(len(self.campaign.time), len(self.campaign.vehicles[name].kind.wheels))
+                end = min(stop, ends[name], start + min(size, most()))
                 yield start, end
                 start = end
 
-    def inputs(self, key: RunKey) -> dict[str, Any]:
-        """Returns the inputs of a run as its row has them."""
-        c = self.campaign
-        name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
-        sample, controller = c.samples[name][key.sample], c.controllers[key.controller]
-        drawn = c.variants[name].get(controller)
-        of_law = {"variant": key.variant, **{f"law_{one}": value for one, value in drawn[key.variant].items()}} if drawn else {}
+    def inputs(self, run: int) -> dict[str, Any]:
+        """Returns the columns of a row that describe its run."""
+        block, variant, sample, seed = self.place(run)
+        law = block.variants[variant] if block.variants else None
         return {
-            "vehicle": name,
-            "controller": controller,
-            "road": road.text,
-            "speed": c.speeds[key.speed],
-            "seed": c.seeds[key.seed] if road.random else None,
-            "sample": key.sample if sample else None,
-            **{f"parameter_{parameter}": value for parameter, value in sample.items()},
-            **of_law,
+            "vehicle": block.vehicle,
+            "controller": block.controller,
+            "road": block.road.text,
+            "speed": block.speed,
+            "seed": block.seeds[seed] if block.road.random else None,
+            "sample": sample if block.samples[sample] else None,
+            **{f"parameter_{parameter}": value for parameter, value in block.samples[sample].items()},
+            **({"variant": variant, **{f"law_{key}": value for key, value in law.items()}} if law is not None else {}),
         }
 
+    def runs(self, start: int, stop: int) -> "list[PlannedRun]":
+        """Returns some runs of one vehicle. Runs of one sample share the vehicle."""
+        c, runs, vehicles = self.campaign, [], dict[int, Vehicle]()
+        for run in range(start, stop):
+            block, variant, sample, seed = self.place(run)
+            if sample not in vehicles:
+                vehicles[sample] = with_sample(c.vehicles[block.vehicle], block.samples[sample])
+            road = block.road.build(vehicles[sample], block.speed, block.seeds[seed], block.speed * c.duration)
+            driver = self.driver(block.vehicle, Candidate(block.controller, variant))
+            runs.append(PlannedRun(self.inputs(run), vehicles[sample], driver, block.road, road))
+        return runs
 
+
+@dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """Run with everything that it needs."""
+    """Run with everything that it needs.
 
-    def __init__(self, plan: Plan, key: RunKey, vehicle: Vehicle) -> None:
-        c = plan.campaign
-        self.name, self.vehicle, self.key = list(c.vehicles)[key.vehicle], vehicle, key
-        self.controller = plan.driver(key)
-        self.choice, self.speed, self.seed = c.roads[key.road], c.speeds[key.speed], c.seeds[key.seed]
-        self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
-        self.system = (id(vehicle), key.controller, key.variant)
-        self.inputs = plan.inputs(key)
+    Attributes:
+        inputs: columns of its row that describe the run.
+        vehicle: vehicle with the sampled values.
+        controller: driver of the run.
+        choice, road: choice of the road, and the road.
+    """
+
+    inputs: Mapping[str, Any]
+    vehicle: Vehicle
+    controller: Driver
+    choice: RoadChoice
+    road: Road
+
+    @property
+    def system(self) -> tuple[int, int]:
+        """Returns a key that is equal for runs of one vehicle with one controller."""
+        return id(self.vehicle), id(self.controller)
 
 
 class Progress:

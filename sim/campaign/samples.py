@@ -5,23 +5,23 @@ between two variants is the law alone.
 """
 
 import unicodedata
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, number_within
+from models.common.checks import check_keys, number_within, table_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.units import in_unit
-from models.kinds.kind import Parameter
 from models.roads.iso8608 import check_seed
 from models.suspension.adjustable_dampers import Adjustable
 from models.suspension.damper import CURVED, LARGEST
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
-from sim.campaign.law_keys import check_key, drawn_entry
+from sim.campaign.law_keys import drawn_entry, law_values
 
 DRAWN = ("parameters", "controllers")
 SAMPLES = ("count", "variants", "method", "seed", *DRAWN)
@@ -30,64 +30,76 @@ DISTRIBUTIONS = ("uniform", "normal")
 OF_DAMPERS = (*CURVED, "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 
-
-@dataclass(frozen=True)
-class Distribution:
-    """Distribution of a parameter.
-
-    Attributes:
-        name: of the parameter.
-        shape: "uniform", from a to b, or "normal", of mean a and standard deviation b, cut at three of them.
-        a, b: in SI, or multiples of each vehicle's own value.
-        relative: True for multiples.
-    """
-
-    name: str
-    shape: str
-    a: float
-    b: float
-    relative: bool
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The least and the most that it gives."""
-        return (self.a, self.b) if self.shape == "uniform" else (self.a - WIDEST * self.b, self.a + WIDEST * self.b)
-
-    def value(self, quantile: Array) -> Array:
-        """Returns the quantiles for shares from 0 to 1."""
-        if self.shape == "uniform":
-            return self.a + (self.b - self.a) * quantile
-        from scipy import special
-
-        cut = special.ndtr(-WIDEST)
-        return self.a + self.b * special.ndtri(cut + (1 - 2 * cut) * quantile)
+Values = Mapping[str, float]  # drawn, by name
 
 
 @dataclass(frozen=True)
-class Draws:
-    """The numbers that a campaign draws.
+class Sampler:
+    """Drawing of points: how many, by which of `METHODS`, from which seed."""
 
-    Attributes:
-        vehicles: parameters of every vehicle, by sample: values by name. One empty sample where none are drawn.
-        laws: of every vehicle and controller whose law is drawn, by variant: values by key.
-        seed: of the draws.
+    count: int
+    method: str
+    seed: int
+
+    def draw(
+        self,
+        where: str,
+        table: Mapping[str, Any],
+        own: Mapping[str, float | None],
+        check: Callable[[str, float], object],
+        units: Mapping[str, str],
+    ) -> tuple[Values, ...]:
+        """Returns values of what a table of distributions names.
+
+        Args:
+            where: place of the table, and whose values they are, for messages.
+            own: the vehicle file's values of all that can be drawn, of which relative ones are multiples; None if it gives none.
+            check: raises an InputError for a value that is not allowed.
+            units: units of those that have one.
+
+        Raises:
+            InputError: the table has an unknown name, no distribution, or one that reaches a value that is not allowed.
+        """
+        quantiles: dict[str, Callable[[Array], Array]] = {}
+        scales: dict[str, float] = {}
+        for name, entry in table.items():
+            relative, ends, quantiles[name] = _distribution(f"{where} {name}", name, entry, units.get(name, ""))
+            if name not in own:
+                raise InputError(f"{where} has no {quoted(name)} to be drawn; it has {listing(own)}")
+            value = own[name]
+            if relative and value is None:
+                raise InputError(f"{where} gives no {name}, and the distribution is relative; leave relative out")
+            scales[name] = value if relative and value is not None else 1.0
+            for end in ends:
+                with error_in(f"{where} the distribution reaches a value that is not allowed:"):
+                    check(name, scales[name] * end)
+        columns = zip(scales, self._unit_samples(len(scales)).T, strict=True)
+        rows = np.stack([scales[name] * quantiles[name](unit) for name, unit in columns], axis=-1).tolist()
+        return tuple(dict(zip(scales, row, strict=True)) for row in rows)
+
+    def _unit_samples(self, dimensions: int) -> Array:
+        """Points of the unit cube, shape (count, dimensions)."""
+        from scipy.stats import qmc  # half a second
+
+        engine = qmc.Sobol if self.method == "sobol" else qmc.LatinHypercube
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that counts are balanced only at powers of two
+            return engine(dimensions, rng=np.random.default_rng(self.seed)).random(self.count)
+
+
+def read_samples(
+    section: Any, vehicles: Mapping[str, Vehicle], controllers: Sequence[str] = ()
+) -> tuple[dict[str, tuple[Values, ...]], dict[str, dict[str, tuple[Values, ...]]], int]:
+    """Returns the samples of every vehicle, the variants of its controllers' laws, and the seed.
+
+    One empty sample stands for a vehicle that is not sampled. A controller whose law is not drawn has no variants.
     """
-
-    vehicles: Mapping[str, tuple[Mapping[str, float], ...]]
-    laws: Mapping[str, Mapping[str, tuple[Mapping[str, float], ...]]]
-    seed: int = 0
-
-
-def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Sequence[str] = ()) -> Draws:
-    """Returns the samples of every vehicle, and the variants of the controllers' laws."""
+    of_vehicles: dict[str, tuple[Values, ...]] = {name: ({},) for name in vehicles}
+    of_laws: dict[str, dict[str, tuple[Values, ...]]] = {name: {} for name in vehicles}
     if section is None:
-        return Draws({name: ({},) for name in vehicles}, {name: {} for name in vehicles})
-    if not isinstance(section, dict):
-        raise InputError("'samples' is not a section; write it as [samples]")
-    check_keys("[samples]", section, SAMPLES)
-    if "count" not in section:
-        raise InputError(f"[samples] 'count' is missing; give how many samples, a whole number from 1 to {MOST_RUNS}")
-    count, method = _count(section, "count"), section.get("method", "latin_hypercube")
+        return of_vehicles, of_laws, 0
+    check_keys("[samples]", table_within("samples", section, "a section [samples]"), SAMPLES)
+    count, method = read_count(section.get("count"), "[samples] count"), section.get("method", "latin_hypercube")
     if method not in METHODS:
         raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {listing(METHODS)}")
     drawn = [key for key in DRAWN if key in section]
@@ -96,142 +108,72 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
             "[samples] samples no parameters; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
             "[samples.controllers.NAME] with keys of that controller's law"
         )
-    if "variants" in section and len(drawn) < len(DRAWN):
-        raise InputError(
-            "[samples] variants is how many laws are drawn beside 'count' vehicles, and one of both is; leave it out"
-        )
-    variants = _count(section, "variants") if "variants" in section else count
-    seed = check_seed(section.get("seed", 0))
-    of_vehicles = {name: ({},) for name in vehicles}
-    if "parameters" in section:
-        of_vehicles = _vehicle_samples(section["parameters"], vehicles, method, count, seed)
-    of_laws: dict[str, dict[str, tuple[Mapping[str, float], ...]]] = {name: {} for name in vehicles}
+    sampler = Sampler(count, method, check_seed(section.get("seed", 0)))
+    for name in vehicles if "parameters" in section else ():
+        of_vehicles[name] = _vehicle_samples(section["parameters"], name, vehicles[name], sampler)
+    sampler = replace(sampler, count=read_count(section.get("variants", count), "[samples] variants"))
     for written, table in section.get("controllers", {}).items():
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
-                f"[samples.controllers] {quoted(controller)} is none of the campaign's; it has {listing(controllers)}"
+                f"[samples.controllers] {quoted(controller)} is not a controller of the campaign; it has {listing(controllers)}"
             )
         for name, vehicle in vehicles.items():
-            of_laws[name][controller] = _variants(controller, table, name, vehicle, method, variants, seed)
-    return Draws(of_vehicles, of_laws, seed)
+            of_laws[name][controller] = _variants(controller, table, name, vehicle, sampler)
+    return of_vehicles, of_laws, sampler.seed
 
 
-def _count(section: Mapping[str, Any], key: str) -> int:
-    count = section[key]
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give a whole number from 1 to {MOST_RUNS}")
-    return count
+def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
+    """Returns the sampled parameters of a vehicle."""
+    parameters = {parameter.name: parameter for parameter in vehicle.kind.parameters}
+    own = {**vehicle.parameters, **{damper: value for damper, (value, _) in _of_dampers(vehicle).items()}}
 
+    def check(key: str, value: float) -> None:
+        if key in parameters:
+            parameters[key].check(value)
+        else:
+            read_number(value, key, 0.0, LARGEST)
 
-def _vehicle_samples(
-    table: Mapping[str, Any], vehicles: Mapping[str, Vehicle], method: str, count: int, seed: int
-) -> dict[str, tuple[Mapping[str, float], ...]]:
-    """Returns the sampled parameters of every vehicle."""
-    units = {part.name: part.unit for vehicle in vehicles.values() for part in vehicle.kind.parameters}
-    distributions = [
-        _distribution(f"[samples.parameters] {name}", name, entry, units.get(name, "")) for name, entry in table.items()
-    ]
-    for name, vehicle in vehicles.items():
-        for distribution in distributions:
-            _check_distribution(distribution, name, vehicle)
-    samples = {}
-    for name, vehicle in vehicles.items():
-        samples[name] = _drawn(distributions, _values(vehicle), method, count, seed)
-        for row in samples[name]:
-            with error_in(f"[samples] a sample of vehicle {name!r} is no vehicle:"):
-                sampled = with_sample(vehicle, row)
-                vehicle.kind.check(sampled.parameters)
-                _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
+    units = {key: parameter.unit for key, parameter in parameters.items()}
+    samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)
+    for sample in samples:
+        with error_in(f"[samples] a sample of vehicle {name!r} is not allowed:"):
+            sampled = with_sample(vehicle, sample)
+            vehicle.kind.check(sampled.parameters)
+            _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
     return samples
 
 
-def _variants(
-    controller: str, table: Any, name: str, vehicle: Vehicle, method: str, count: int, seed: int
-) -> tuple[Mapping[str, float], ...]:
+def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
     """Returns the drawn keys of a controller's law."""
     where = f"[samples.controllers.{controller}]"
     if not isinstance(table, dict) or not table:
         raise InputError(f"{where} draws nothing; give keys of its law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
-    distributions = [_distribution(f"{where} {key}", key, entry) for key, entry in table.items()]
-    own = {}
-    for one in distributions:
-        with error_in(f"{where} vehicle {name!r}:"):
-            value = check_key(vehicle, controller, one.name)
-        if one.relative and value is None:
-            raise InputError(f"{where} {one.name} is relative, and vehicle {name!r} gives no {one.name}; leave relative out")
-        own[one.name] = value
-        for end in one.ends:
-            with error_in(f"{where} the distribution reaches a value that is none, for vehicle {name!r}:"):
-                drawn_entry(vehicle, controller, {one.name: (value or 0.0) * end if one.relative else end})
-    return _drawn(distributions, own, method, count, seed)
+    where += f" vehicle {name!r}:"
+    with error_in(where):
+        own = law_values(vehicle, controller)
+    return sampler.draw(where, table, own, lambda key, value: drawn_entry(vehicle, controller, {key: value}), {})
 
 
-def _drawn(
-    distributions: Sequence[Distribution], own: Mapping[str, float | None], method: str, count: int, seed: int
-) -> tuple[Mapping[str, float], ...]:
-    """Returns drawn values by name.
-
-    Args:
-        own: the vehicle file's values, of which relative ones are multiples.
-    """
-    unit = _unit_samples(method, len(distributions), count, seed)
-    columns = [((own[one.name] or 0.0) if one.relative else 1.0) * one.value(unit[:, i]) for i, one in enumerate(distributions)]
-    rows = np.stack(columns, axis=-1).tolist()
-    return tuple(dict(zip([one.name for one in distributions], row, strict=True)) for row in rows)
-
-
-def _unit_samples(method: str, dimensions: int, count: int, seed: int) -> Array:
-    """Points of the unit cube, shape (count, dimensions)."""
-    import warnings
-
-    from scipy.stats import qmc  # half a second
-
-    sampler = qmc.Sobol(dimensions, rng=np.random.default_rng(seed)) if method == "sobol" else None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that counts are balanced only at powers of two
-        return (sampler or qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed))).random(count)
-
-
-def _distribution(where: str, name: str, entry: Any, unit: str = "") -> Distribution:
-    example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
-    shapes = [key for key in entry if key != "relative"]
-    if len(shapes) != 1 or shapes[0] not in DISTRIBUTIONS or not isinstance(entry.get("relative", False), bool):
-        raise InputError(
-            f"{where} has {listing(entry)}; give one of {listing(DISTRIBUTIONS)}, and relative = true or false, {example}"
-        )
-    values = entry[shapes[0]]
+def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, tuple[float, float], Callable[[Array], Array]]:
+    """Returns if a distribution is of multiples of each vehicle's own value, its least and most, and its quantiles by share."""
+    give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}, and maybe relative = true"
+    relative = entry.get("relative", False) if isinstance(entry, dict) else None
+    shapes = [key for key in entry if key != "relative"] if isinstance(relative, bool) else []
+    relative = bool(relative)
+    values = entry[shapes[0]] if len(shapes) == 1 and shapes[0] in DISTRIBUTIONS else None
     if not isinstance(values, list) or len(values) != 2:
-        raise InputError(f"{where}: {shapes[0]} = {quoted(values)} is not two numbers, {example}")
-    relative = entry.get("relative", False)
+        raise InputError(f"{where} = {quoted(entry)} is not a distribution; {give}")
     a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, "" if relative else unit) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(
             f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
         )
-    return Distribution(name, shapes[0], a, b, relative)
+    from scipy import stats  # half a second
 
-
-def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle) -> None:
-    """Refuses a parameter that a vehicle has not, and a distribution that reaches a value it cannot have."""
-    parameters: dict[str, Parameter] = {parameter.name: parameter for parameter in vehicle.kind.parameters}
-    own = _values(vehicle)
-    if distribution.name not in own:
-        raise InputError(f"[samples.parameters] vehicle {name!r} has no parameter {distribution.name!r}; it has {listing(own)}")
-    scale = own[distribution.name] if distribution.relative else 1.0
-    for end in distribution.ends:
-        with error_in(f"[samples.parameters] the distribution reaches a value that is none, for vehicle {name!r}:"):
-            if distribution.name in parameters:
-                parameters[distribution.name].check(scale * end)
-            else:
-                read_number(scale * end, distribution.name, 0.0, LARGEST)
-
-
-def _values(vehicle: Vehicle) -> dict[str, float]:
-    """Returns the vehicle's values that can be sampled."""
-    return {**vehicle.parameters, **{name: value for name, (value, _) in _of_dampers(vehicle).items()}}
+    if shapes[0] == "uniform":
+        return relative, (a, b), stats.uniform(a, b - a).ppf
+    return relative, (a - WIDEST * b, a + WIDEST * b), stats.truncnorm(-WIDEST, WIDEST, a, b).ppf
 
 
 def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
@@ -256,18 +198,25 @@ def read_number(value: Any, where: str, smallest: float, largest: float, unit: s
     return number_within(where, in_unit(value, unit, where), smallest, largest, unit)
 
 
-def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
+def read_count(value: Any, where: str, more: str = "") -> int:
+    """Reads how many of something there are in a campaign; `more` ends the message.
+
+    Raises:
+        InputError: the value is not an integer, or makes no runs or too many.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_RUNS:
+        raise InputError(f"{where} = {quoted(value)} is not allowed; give an integer from 1 to {MOST_RUNS}{more}")
+    return value
+
+
+def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
     """The vehicle with sampled parameters, and numbers of its adjustable dampers."""
     if not sample:
         return vehicle
     known, dampers = _of_dampers(vehicle), dict(vehicle.dampers)
+    endings = {one.force: one.ending for one in vehicle.adjustable}
     for name in (one for one in known if one in sample):
         for force in known[name][1]:
-            dampers[force] = replace(dampers[force], **{name.removesuffix(_ending(vehicle, force)): sample[name]})
+            dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
     parameters = {name: value for name, value in sample.items() if name not in known}
     return replace(vehicle, parameters={**vehicle.parameters, **parameters}, dampers=dampers)
-
-
-def _ending(vehicle: Vehicle, force: str) -> str:
-    """Returns the suffix of signal names at the suspension of this force."""
-    return next(one.ending for one in vehicle.adjustable if one.force == force)

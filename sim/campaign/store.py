@@ -5,9 +5,8 @@ after any end: it runs what has no file. A file that is cut or empty is run agai
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,42 +14,36 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from models.common.arrays import Array
-from models.common.files import whole_file
-from sim.campaign.columns import Column
-from sim.campaign.manifest import FULL, RESULTS
+from models.common.errors import InputError, first_few
+from models.common.files import reading, whole_file
+from sim.campaign.manifest import ELSEWHERE, FULL, RESULTS
 
 PART = re.compile(r"part-(\d{9})-(\d{9})\.parquet")
-TYPES = {int: pa.int64(), float: pa.float64(), str: pa.string()}
-
-
-@dataclass(frozen=True)
-class Part:
-    """The file of the runs from `start` to before `stop`."""
-
-    start: int
-    stop: int
-    path: Path
 
 
 class Store:
     """The results folder of one campaign, used by one process at a time.
 
     Attributes:
-        folder: its place.
+        folder: folder of the results.
+        schema: columns of the results.
         runs: number of runs of the campaign.
-        schema: schema of the rows; its metadata describe what the numbers come from.
+        parts: complete files of batches by their first run, with the run after their last.
         damaged: a sentence for each file that is not complete, and whose runs are run again.
     """
 
-    def __init__(self, folder: Path, columns: Mapping[str, Column], metadata: Mapping[str, str], runs: int) -> None:
+    def __init__(self, folder: Path, schema: pa.Schema, runs: int) -> None:
         """Opens a folder, and changes nothing in it."""
-        self.folder, self.runs = folder, runs
-        fields = [pa.field(name, TYPES[one.kind], metadata=one.about or None) for name, one in columns.items()]
-        self.schema = pa.schema(fields, metadata=dict(metadata))
+        self.folder, self.schema, self.runs = folder, schema, runs
+        self.parts: dict[int, tuple[int, Path]] = {}
         self.damaged: list[str] = []
-        self._useless: list[Path] = []
-        self._parts = [] if self.finished else list(self._complete_parts())
+        found, at = [] if self.finished else sorted(path for path in folder.glob("part-*") if PART.fullmatch(path.name)), 0
+        for path in found:
+            start, stop = map(int, path.stem.split("-")[1:])
+            if at <= start < stop <= runs and self._has(path, start, stop):
+                self.parts[start], at = (stop, path), stop
+            else:
+                self.damaged.append(f"{path.name} is not complete, or not of this campaign: its runs are run again")
 
     @property
     def results(self) -> Path:
@@ -64,7 +57,7 @@ class Store:
 
     def tidy(self) -> None:
         """Removes files that are not complete, and files of batches that are in the results already."""
-        for path in [*self._useless, *(self.folder.glob("part-*") if self.finished else ())]:
+        for path in {*self.folder.glob("part-*")} - {path for _, path in self.parts.values()}:
             with suppress(OSError):
                 path.unlink()
 
@@ -72,23 +65,24 @@ class Store:
         """Returns the runs without a row, as ascending (start, stop)."""
         if self.finished:
             return []
-        gaps, at = [], 0
-        for part in self._parts:
-            if part.start > at:
-                gaps.append((at, part.start))
-            at = part.stop
-        return [*gaps, (at, self.runs)] if at < self.runs else gaps
+        starts, stops = [*sorted(self.parts), self.runs], [0, *(self.parts[start][0] for start in sorted(self.parts))]
+        return [(stop, start) for stop, start in zip(stops, starts, strict=True) if stop < start]
+
+    @property
+    def left(self) -> int:
+        """Returns how many runs have no row."""
+        return sum(stop - start for start, stop in self.missing())
 
     def write(self, start: int, rows: Sequence[Mapping[str, Any]]) -> None:
         """Adds the rows of the runs from `start` on.
 
         Raises:
-            InputError: they cannot be written.
+            InputError: the results cannot be written.
         """
-        part = Part(start, start + len(rows), self.folder / f"part-{start:09d}-{start + len(rows):09d}.parquet")
-        with whole_file(part.path, "results", FULL) as path, path.open("wb") as file:
-            pq.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=self.schema), file)
-        self._parts = sorted([*self._parts, part], key=lambda part: part.start)
+        stop = start + len(rows)
+        path = self.folder / f"part-{start:09d}-{stop:09d}.parquet"
+        self._write(path, pa.Table.from_pylist([dict(row) for row in rows], schema=self.schema))
+        self.parts[start] = stop, path
 
     def finish(self) -> None:
         """Joins all parts into one file, in the order of their runs, and removes them.
@@ -98,39 +92,37 @@ class Store:
         """
         if self.finished:
             return
-        table = self.read(self.schema.names).combine_chunks()
-        with whole_file(self.results, "results", FULL) as path, path.open("wb") as file:
-            pq.write_table(table, file)
-        for part in self._parts:
-            part.path.unlink()
-        self._parts = []
+        self._write(self.results, self.read(self.schema.names).combine_chunks())
+        for _, path in self.parts.values():
+            path.unlink()
+        self.parts = {}
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns some columns of all rows so far."""
-        paths = [self.results] if self.finished else [part.path for part in self._parts]
+        """Returns some columns of all rows so far.
+
+        Raises:
+            InputError: a file is cut or empty, or another version wrote it, with other columns.
+        """
+        paths = [self.results] if self.finished else [self.parts[start][1] for start in sorted(self.parts)]
         return pa.concat_tables([_read(path, names) for path in paths] or [self.schema.empty_table().select(list(names))])
 
-    def _complete_parts(self) -> Iterator[Part]:
-        """Yields the parts that are complete, in the order of their runs."""
-        at = 0
-        for path in sorted(path for path in self.folder.glob("part-*") if PART.fullmatch(path.name)):
-            start, stop = map(int, path.stem.split("-")[1:])
-            if at <= start < stop <= self.runs and np.array_equal(_runs(path), np.arange(start, stop)):
-                yield Part(start, stop, path)
-                at = stop
-            else:
-                self.damaged.append(f"{path.name} is not complete, or not of this campaign: its runs are run again")
-                self._useless.append(path)
+    def _has(self, path: Path, start: int, stop: int) -> bool:
+        """Returns True if a file is complete, and has these runs and all columns."""
+        try:
+            return np.array_equal(_read(path, ["run"], self.schema.names)["run"].to_numpy(), np.arange(start, stop))
+        except InputError:
+            return False
+
+    def _write(self, path: Path, table: pa.Table) -> None:
+        with whole_file(path, "results", FULL) as beside, beside.open("wb") as file:
+            pq.write_table(table, file)
 
 
-def _read(path: Path, names: Sequence[str]) -> pa.Table:
-    with path.open("rb") as file:  # Arrow takes a name with a colon for an address
-        return pq.read_table(file, columns=list(names))
-
-
-def _runs(path: Path) -> Array:
-    """Returns the numbers of the runs in a file; none if it is not complete."""
-    try:
-        return _read(path, ["run"])["run"].to_numpy()
-    except (pa.ArrowException, OSError, KeyError):
-        return np.zeros(0)
+def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:
+    """Returns some columns of a file, which has them, and all `expected` ones."""
+    with reading(path, "results", "remove it, and run the campaign again"), path.open("rb") as stream:  # a path may have a colon
+        file = pq.ParquetFile(stream)
+        other = {*expected, *names} - {*file.schema_arrow.names}
+        if other:
+            raise InputError(f"another version of Roadproof wrote it, without columns {first_few(sorted(other))}; {ELSEWHERE}")
+        return file.read(list(names)).select(list(names))

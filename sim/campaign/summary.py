@@ -7,8 +7,7 @@ they are expected to do over the same roads. What lies below it on the left is w
 import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from models.common.arrays import Array
 from models.common.printed import WIDTH, cell, percent, table, wrapped
 from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed, PythonLaw
-from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.batch import FAILED
@@ -26,17 +24,15 @@ from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import dynamic_load, points
-from sim.studies.ride.standing import MEASURES, Standing, columns_of, standing_lines, standing_over_runs, standings_object
+from sim.studies.ride.standing import MEASURES, Standing, columns_of, standing_lines, standing_over_runs
 from synth.controller.controller import Controller
 from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.designer import Designer
 
-INPUTS = ("vehicle", "controller", "road", "speed")
 
-
-def headlines(plan: Plan, vehicle: str) -> dict[str, tuple[str, ...]]:
-    """The metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
-    where = points(plan.campaign.vehicles[vehicle])
+def headlines(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
+    """Returns the metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
+    where = points(vehicle)
     return {
         "ride": tuple(f"{name}_weighted" for name in where.accelerations),
         "travel": tuple(f"{name}_rms" for name in where.suspensions),
@@ -46,34 +42,26 @@ def headlines(plan: Plan, vehicle: str) -> dict[str, tuple[str, ...]]:
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
     """Returns the standings of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
-    names = {name: columns_of(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
-    metrics = dict.fromkeys(metric for columns in names.values() for some in columns.values() for metric in some)
-    table = store.read([*metrics])
-    standings = {}
-    for vehicle, columns in names.items():
-        values = {metric: table[metric].to_numpy().astype(float) for some in columns.values() for metric in some}
-        standings[vehicle] = {}
-        for candidate, runs in sorted(plan.candidates(vehicle).items(), key=lambda item: item[0].controller != PASSIVE):
-            here = {metric: each[runs] for metric, each in values.items()}
-            one = standing_over_runs(plan.campaign.vehicles[vehicle], candidate.name, here)
-            sound = not unstable_by_itself(plan.driver(plan.key(int(runs[0]))))
-            standings[vehicle][candidate] = replace(one, sound=sound)
+    standings: dict[str, dict[Candidate, Standing]] = {}
+    for name, vehicle in plan.campaign.vehicles.items():
+        metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
+        table = store.read(metrics)
+        values = {metric: table[metric].to_numpy().astype(float) for metric in metrics}
+        standings[name] = {}
+        for candidate, runs in sorted(plan.candidates(name).items(), key=lambda item: item[0].controller != PASSIVE):
+            one = standing_over_runs(vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()})
+            standings[name][candidate] = replace(one, sound=not unstable_by_itself(plan.driver(name, candidate)))
     return standings
 
 
 Standings = Mapping[str, Mapping[Candidate, Standing]]  # by vehicle
 
 
-def compared_object(standings: Standings) -> list[dict[str, Any]]:
-    """Returns the standings by vehicle as JSON has them."""
-    return [{"vehicle": vehicle, **standings_object([*some.values()])} for vehicle, some in standings.items()]
-
-
 def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
     """Returns a table of standings for each vehicle; of variants only those that have the least of something.
 
     Args:
-        chosen: a candidate of each vehicle that stands in its table anyway.
+        chosen: a candidate of each vehicle that its table contains in any case.
     """
     lines = []
     for vehicle, every in standings.items():
@@ -100,53 +88,39 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
     square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
     having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
-    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. Of a law in Python nothing is
-    predicted; a run whose law failed has no metrics, either. Of a drawn law there are the root mean squares of each variant, too.
+    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. A law in Python has no
+    prediction; a run whose law failed has no metrics, either. A drawn law has the root mean squares of each variant, too.
     """
-    lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
+    lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
-    predicted = [f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR)]
-    drawn = ["variant"] if any(plan.campaign.variants.values()) else []
-    table = store.read([*INPUTS, *drawn, "ended_by", "reason", *metrics, *predicted])
-    # Dictionary-encoded, so that rows are compared by number.
-    codes = np.zeros(len(table), dtype=np.int64)
-    values: list[list[Any]] = []
-    for name in INPUTS:
-        column = table[name].combine_chunks().dictionary_encode()
-        values.append(column.dictionary.to_pylist())
-        codes = codes * max(1, len(values[-1])) + column.indices.to_numpy(zero_copy_only=False)
-    ended = ~table["ended_by"].is_null().to_numpy()
-    reasons: list[str | None] = table["reason"].to_pylist()
-    failed = np.array([reason is not None and reason.startswith(FAILED) for reason in reasons], dtype=bool)
-    broken = ~table["reason"].is_null().to_numpy() & ~failed
-    columns = {name: table[name].to_numpy() for name in (*metrics, *predicted)}
-    order = {road.text: i for i, road in enumerate(plan.campaign.roads)}
+    names = [*metrics, *(f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR))]
+    table = store.read(["ended_by", "reason", *names])
+    columns = {name: table[name].to_numpy() for name in names}
+    ended, reasons = ~table["ended_by"].is_null().to_numpy(), np.array(table["reason"].to_pylist(), dtype=object)
 
     summaries = []
-    by_code = np.argsort(codes, kind="stable")
-    first = np.flatnonzero(np.diff(codes[by_code], prepend=-1))
-    for some in np.split(by_code, first[1:]) if len(first) else []:
-        where, rest = [], int(codes[some[0]])
-        for names in reversed(values):
-            rest, index = divmod(rest, max(1, len(names)))
-            where.append(names[index])
-        entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
-        entry |= {"runs": len(some), "left": int(ended[some].sum()), "broke_off": int(broken[some].sum())}
-        entry["first_reason"] = next((reasons[i] for i in some[broken[some]].tolist()), None)
-        if isinstance(law := plan.controllers[entry["vehicle"]][entry["controller"]], Programmed):
-            why = [reason.removeprefix(FAILED) for i in some[failed[some]].tolist() if (reason := reasons[i])]
-            entry |= {"law": law.law.law, "failed": len(why), "first_failure": why[0] if why else None}
-        for line, names in lines[entry["vehicle"]].items():
-            entry[line] = _statistics(columns, names, some)
-        if variants := plan.campaign.variants[entry["vehicle"]].get(entry["controller"]):
-            of_law = table["variant"].to_numpy()[some]
-            rows = [some[of_law == i] for i in range(len(variants))]
-            by_line = lines[entry["vehicle"]].items()
-            entry["variants"] = [{line: _statistics(columns, names, own)["rms"] for line, names in by_line} for own in rows]
+    for block in plan.blocks:
+        runs = slice(block.start, block.stop)
+        why = [reason for reason in reasons[runs] if reason is not None]
+        failures = [reason.removeprefix(FAILED) for reason in why if reason.startswith(FAILED)]
+        broke = [reason for reason in why if not reason.startswith(FAILED)]
+        entry: dict[str, Any] = {"vehicle": block.vehicle, "controller": block.controller, "road": block.road.text}
+        entry |= {"speed": block.speed, "runs": block.stop - block.start, "left": int(ended[runs].sum())}
+        entry |= {"broke_off": len(broke), "first_reason": next(iter(broke), None)}
+        if isinstance(law := plan.controllers[block.vehicle][block.controller], Programmed):
+            entry |= {"law": law.law.law, "failed": len(failures), "first_failure": next(iter(failures), None)}
+        of_vehicle = lines[block.vehicle].items()
+        entry |= {line: _statistics(columns, some, np.arange(block.start, block.stop)) for line, some in of_vehicle}
+        if block.variants:
+            own = block.candidates.values()
+            entry["variants"] = [{line: _statistics(columns, some, one)["rms"] for line, some in of_vehicle} for one in own]
         summaries.append(entry)
     vehicles, controllers = list(plan.campaign.vehicles), plan.campaign.controllers
-    summaries.sort(key=lambda e: (vehicles.index(e["vehicle"]), order[e["road"]], e["speed"], controllers.index(e["controller"])))
-    return summaries
+    roads = [road.text for road in plan.campaign.roads]
+    return sorted(
+        summaries,
+        key=lambda e: (vehicles.index(e["vehicle"]), roads.index(e["road"]), e["speed"], controllers.index(e["controller"])),
+    )
 
 
 def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
@@ -196,7 +170,7 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             for entry in every:
                 numbers = (cell(entry[name][key], ".4g") for key in ("rms", "p95", "predicted"))
                 rows.append((f"  {entry['controller']}", *numbers, *(str(entry.get(key, 0)) for key in counted)))
-        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_broken_lines(every), *_law_lines(every)]
+        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_notes(every)]
     return lines
 
 
@@ -211,8 +185,12 @@ def short_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         lines += _ride_table(entries)
     for some in groups:
         of = f"{some[0]['vehicle']}: " if len(groups) > 1 else ""
-        whole = [_all_roads([entry for entry in some if entry["controller"] == name]) for name in _controllers(some)]
-        left = [f"{one['left']} of {one['runs']} of {one['controller']}" for one in sorted(whole, key=_share_left) if one["left"]]
+        by_controller: dict[str, list[Mapping[str, Any]]] = {}
+        for entry in some:
+            by_controller.setdefault(entry["controller"], []).append(entry)
+        whole = [_all_roads(own) for own in by_controller.values()]
+        order = sorted(whole, key=lambda one: one["left"] / one["runs"])
+        left = [f"{one['left']} of {one['runs']} of {one['controller']}" for one in order if one["left"]]
         told = f"{left[0]} to {left[-1]}" if len(left) > FEW and len(left) == len(whole) else ", ".join(left) or "none"
         lines += wrapped(f"{of}runs that left the linear regime: {told}", "  ", 4)
         kept = [entry["ride"] for entry in some if not entry["left"] and entry["ride"]["predicted"]]
@@ -222,16 +200,8 @@ def short_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
             said = f"{of}the ride is within {percent(off)} of its prediction, over random roads a mean"
             lines += wrapped(said, "  ", 4)
-        lines += [*_broken_lines(whole), *_law_lines(whole)]
+        lines += _notes(whole)
     return [*lines, "  -v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
-
-
-def _share_left(one: Mapping[str, Any]) -> float:
-    return one["left"] / one["runs"]
-
-
-def _controllers(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(entry["controller"] for entry in entries))
 
 
 def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -240,7 +210,7 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     for entry in entries:
         place = by_place.setdefault(f"{entry['road']} at {entry['speed']:g} m/s", {})
         place[entry["controller"]] = cell(entry["ride"]["rms"], ".3g")
-    names = _controllers(entries)
+    names = list(dict.fromkeys(entry["controller"] for entry in entries))
     rows = [(place, *(here.get(name, "-") for name in names)) for place, here in by_place.items()]
     lines = table([("ride, rms [m/s2]", *names), *rows])
     return lines if 1 < len(rows) <= SEEN and len(lines) == len(rows) + 1 and max(map(len, lines)) <= WIDTH else []
@@ -256,25 +226,19 @@ def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return whole
 
 
-def _broken_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns a sentence on each controller of which runs broke off."""
-    return [
+def _notes(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Returns sentences on the controllers of which runs broke off, and on those with a law in Python or an FMU."""
+    lines = [
         f"  {entry['controller']}: {entry['broke_off']} of {entry['runs']} runs broke off, the first: {entry['first_reason']}"
         for entry in entries
         if entry["broke_off"]
     ]
-
-
-def _law_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns a sentence on each law in Python or FMU."""
-    lines = []
-    for entry in entries:
-        if "law" in entry:
-            what = PythonLaw(entry["law"]).with_article
-            said = f"{entry['controller']} is {what}, {entry['law']}: no linear claim, so nothing is predicted of it"
-            if entry["failed"]:
-                said += f"; {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}"
-            lines.append(f"  {said}")
+    for entry in (one for one in entries if "law" in one):
+        what = f"{PythonLaw(entry['law']).with_article}, {entry['law']}"
+        line = f"  {entry['controller']} is {what}: no linear claim, so nothing is predicted of it"
+        if entry["failed"]:
+            line += f"; {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}"
+        lines.append(line)
     return lines
 
 
@@ -288,7 +252,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
-        entries: what it came to, see `summarise`.
+        entries: results of the campaign, see `summarise`.
 
     Returns:
         None if no run has both metrics.
@@ -296,46 +260,46 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
     campaign, several = plan.campaign, len(plan.campaign.vehicles) > 1
     own = {vehicle: f", {vehicle}" if several else "" for vehicle in campaign.vehicles}
     looks = styles(tuple(f"{controller}{end}" for end in own.values() for controller in campaign.controllers))
-    panels, crossed = [], False
+    panels = []
     for road, speed in dict.fromkeys((entry["road"], entry["speed"]) for entry in entries):
-        curves, measured = [], False
-        for i, (name, vehicle) in enumerate(campaign.vehicles.items()):
-            place = RoadAndSpeed(plan, name, vehicle, road, speed)
-            line = place.constant_dampers()
+        expected, measured = list[Curve](), list[Curve]()
+        for i, (name, end) in enumerate(own.items()):
+            line, crosses = _expected_points(plan, name, road, speed)
             if len(line):
                 color = OTHERS[-1 - i % len(OTHERS)]
-                curves.append(Curve(line[:, 0], line[:, 1], f"constant dampers, expected{own[name]}", color, width=2.2))
-            for controller, (x, y) in place.fully_active().items():
-                label = f"{controller}, fully active, expected{own[name]}"
-                color = looks[f"{controller}{own[name]}"].color
-                curves.append(Curve(np.array([x]), np.array([y]), label, color, "none", "x"))
-        for entry in entries:
-            ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
-            there = [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
-            if (entry["road"], entry["speed"]) == (road, speed) and there:
+                expected.append(Curve(line[:, 0], line[:, 1], f"constant dampers, expected{end}", color, width=2.2))
+            for controller, point in crosses.items():
+                label, color = f"{controller}, fully active, expected{end}", looks[f"{controller}{end}"].color
+                x, y = np.array(point)[:, None]
+                expected.append(Curve(x, y, label, color, "none", "x"))
+        for entry in (one for one in entries if (one["road"], one["speed"]) == (road, speed)):
+            if there := _points(entry):
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
                 x, y = np.array(there).T
-                curves.append(Curve(x, y, label, looks[label].color, "none", looks[label].marker))
-                if "variants" not in entry:
-                    curves += _error_bars(entry, looks[label].color)
-                measured = True
-        crossed = crossed or any(curve.marker == "x" for curve in curves)
+                measured.append(Curve(x, y, label, looks[label].color, "none", looks[label].marker))
+                measured += _error_bars(entry, looks[label].color) if "variants" not in entry else []
         if measured:
-            title = f"{road} at {speed:g} m/s"
-            panels.append(Panel(title, ACROSS_LABEL, UP_LABEL, tuple(curves)))
+            panels.append(Panel(f"{road} at {speed:g} m/s", ACROSS_LABEL, UP_LABEL, (*expected, *measured)))
     if not panels:
         return None
-    drawn = {curve.label for panel in panels for curve in panel.curves}
+    drawn = {curve.label: curve for panel in panels for curve in panel.curves}
     absent = [label for label in looks if label not in drawn]
-    said = {vehicle: _finding(panels, end) for vehicle, end in own.items()}
+    said = {vehicle: _finding([entry for entry in entries if entry["vehicle"] == vehicle]) for vehicle in own}
     finding = "; ".join(f"{vehicle}: {words}" if several else words for vehicle, words in said.items() if words)
+    crossed = any(curve.marker == "x" for curve in drawn.values())
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
         "runs, of the worst point of the vehicle, with two standard errors."
-        + (" Crosses: with actuators that push in place of adjustable dampers." if crossed else "")
+        + (" Crosses: with force actuators instead of semi-active dampers." if crossed else "")
         + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
     )
     return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=finding)
+
+
+def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Returns dynamic load and ride of a controller, or of each variant of its law, where there are both."""
+    ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
+    return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
@@ -348,91 +312,55 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
     return [Curve(ends[:, 0], ends[:, 1], "", color, width=1.0, name=f"{entry['controller']}, two standard errors")]
 
 
-def _finding(panels: Sequence[Panel], end: str) -> str:
-    """Returns who rides best and who holds the road best, in how many panels; an empty text without a choice.
-
-    Args:
-        end: of the labels of one vehicle, which is left out.
-    """
-    best = [one for panel in panels if (one := _best(panel, end))]
-    if not best:
+def _finding(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Returns which controller of a vehicle rides best and which holds the road best, and in how many panels; empty for one."""
+    best = []
+    for _, group in itertools.groupby(entries, lambda entry: (entry["road"], entry["speed"])):
+        least = {entry["controller"]: np.min(some, axis=0) for entry in group if (some := _points(entry))}
+        if len(least) > 1:
+            best.append([min(least, key=lambda name: least[name][i]) for i in (1, 0)])
+    counts = [Counter(names).most_common() for names in zip(*best, strict=True)]
+    if not counts:
         return ""
-    soft, firm = (Counter(names).most_common() for names in zip(*best, strict=True))
-    if len(soft) == len(firm) == 1:
-        (rides, _), (holds, _) = soft[0], firm[0]
-        return f"{rides} rides best{f', {holds} holds' if holds != rides else ' and holds'} the road best"
-    words = (", ".join(f"{name} in {count} of {len(best)}" for name, count in some) for some in (soft, firm))
-    return "rides best: {}; holds the road best: {}".format(*words)
+    (rides, *others), (holds, *more) = counts
+    if not others and not more:
+        return f"{rides[0]} rides best{f', {holds[0]} holds' if holds[0] != rides[0] else ' and holds'} the road best"
+    words = [", ".join(f"{name} in {count} of {len(best)}" for name, count in some) for some in counts]
+    return f"rides best: {words[0]}; holds the road best: {words[1]}"
 
 
-def _best(panel: Panel, end: str) -> tuple[str, str] | None:
-    """Returns who rides best and who holds the road best in a panel; None with less than two controllers."""
-    points = [one for one in panel.curves if one.dash == "none" and one.marker != "x" and len(one.x) and one.label.endswith(end)]
-    if len(points) < 2:
-        return None
-    soft, firm = min(points, key=lambda one: one.y.min()), min(points, key=lambda one: one.x.min())
-    return soft.label.removesuffix(end), firm.label.removesuffix(end)
+def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
+    """Returns the expected dynamic load and ride of a vehicle at a speed [m/s].
 
+    Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, or without adjustable dampers.
 
-@dataclass(frozen=True, eq=False)
-class RoadAndSpeed:
-    """A vehicle of a campaign on one of its roads at one of its speeds, and what is expected there.
-
-    Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, and without adjustable dampers.
-
-    Attributes:
-        plan: of the campaign.
-        name: of the vehicle, in it.
-        vehicle: itself.
-        road, speed: where.
+    Returns:
+        Points of adjustable dampers that stay as they are, softest first, shape (k, 2). Those of every linear law that is not
+        drawn, by name, as if every force were given that it requests.
     """
+    campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
+    choice = next(one for one in campaign.roads if one.text == road)
+    if not choice.random or not vehicle.adjustable or any(campaign.samples[name]):
+        return np.zeros((0, 2)), {}
+    spectrum = choice.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration).spectrum
+    assert spectrum is not None, "the road is random"
 
-    plan: Plan
-    name: str
-    vehicle: Vehicle
-    road: str
-    speed: float
+    def expected(car: Vehicle, controller: Controller) -> list[float] | None:
+        found = expect(car.with_ideal_actuators, controller, spectrum, campaign.timestep, campaign.duration - campaign.settle)
+        return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
 
-    @cached_property
-    def spectrum(self) -> Spectrum | None:
-        """Returns the spectrum of the road, or None if no expectation exists."""
-        campaign = self.plan.campaign
-        choice = next(one for one in campaign.roads if one.text == self.road)
-        if not choice.random or not self.vehicle.adjustable or any(campaign.samples[self.name]):
-            return None
-        return choice.build(self.vehicle, self.speed, campaign.seeds[0], self.speed * campaign.duration).spectrum
-
-    def expected(self, vehicle: Vehicle, controller: Controller) -> list[float] | None:
-        """Dynamic load and ride; None of a loop that is not stable."""
-        campaign, lines = self.plan.campaign, headlines(self.plan, self.name)
-        if self.spectrum is None:
-            return None
-        prediction = expect(vehicle, controller, self.spectrum, campaign.timestep, campaign.duration - campaign.settle)
-        return None if prediction is None else [max(prediction.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
-
-    def constant_dampers(self) -> Array:
-        """Dynamic load and ride of adjustable dampers that stay as they are, softest first, shape (k, 2)."""
-        if self.spectrum is None:
-            return np.zeros((0, 2))
-        vehicle, points = self.vehicle, []
-        adjustable = {one.force: one.damper for one in vehicle.adjustable}
-        dampers = {one.damping: adjustable[one.force] for one in vehicle.kind.suspensions if one.force in adjustable}
-        passive = Designer(vehicle).design("passive")
-        for share in np.linspace(0.0, 1.0, CONSTANT):
-            fixed = {}
-            for parameter, damper in dampers.items():
-                softest = max(damper.c_min, SOFTEST * damper.c_max)
-                fixed[parameter] = float(softest * (damper.c_max / softest) ** share)
-            still = replace(vehicle, parameters={**vehicle.parameters, **fixed}).with_ideal_actuators
-            points.append(self.expected(still, passive))
-        return np.array([one for one in points if one is not None]).reshape(-1, 2)
-
-    def fully_active(self) -> dict[str, list[float]]:
-        """Dynamic load and ride of every linear law that is not drawn, by name, were every force given that it asks for."""
-        points = {}
-        for name, controller in self.plan.controllers[self.name].items():
-            drawn = name in self.plan.campaign.variants[self.name]
-            if isinstance(controller, Controller) and controller.law.acts and not drawn:
-                there = self.expected(self.vehicle.with_ideal_actuators, controller)
-                points |= {name: there} if there is not None else {}
-        return points
+    adjustable = {one.force: one.damper for one in vehicle.adjustable}
+    dampers = {one.damping: adjustable[one.force] for one in vehicle.kind.suspensions if one.force in adjustable}
+    passive, line = Designer(vehicle).design(PASSIVE), []
+    for share in np.linspace(0.0, 1.0, CONSTANT):
+        softest = {parameter: max(damper.c_min, SOFTEST * damper.c_max) for parameter, damper in dampers.items()}
+        fixed = {key: float(softest[key] * (damper.c_max / softest[key]) ** share) for key, damper in dampers.items()}
+        line.append(expected(replace(vehicle, parameters={**vehicle.parameters, **fixed}), passive))
+    crosses = {
+        one: expected(vehicle, controller)
+        for one, controller in plan.controllers[name].items()
+        if isinstance(controller, Controller) and controller.law.acts and one not in campaign.variants[name]
+    }
+    return np.array([one for one in line if one is not None]).reshape(-1, 2), {
+        one: point for one, point in crosses.items() if point is not None
+    }

@@ -1,11 +1,9 @@
 """Who runs the batches of a campaign: threads of this machine, or the workers of a Ray cluster. The rows are the same."""
 
 import itertools
-import os
 import socket
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +27,7 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     return run_batch(plan, start, stop, stopped), time.monotonic() - began
 
 
-def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
+def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Generator[Done]:
     """Runs batches on threads, and yields each when it is complete. MuJoCo and NumPy work outside Python's lock."""
     from models.common.children import kill_children
 
@@ -58,52 +56,33 @@ def cluster(address: str) -> Iterator[None]:
         raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
     if address not in (HERE, "auto"):
         _check_address(address)
-    joined = not ray.is_initialized()
-    if joined:
-        # Workers on this machine find the project where it is; other machines have it installed.
-        environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent.parent)}}
-        try:
-            with _without_stderr():
-                ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
-        except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
-            said = str(error).splitlines() or [type(error).__name__]
-            raise InputError(f"--ray {address}: no cluster to be had ({said[0]}); {TOKEN}") from error
+    # Workers on this machine find the project where it is; other machines have it installed.
+    environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent.parent)}}
+    try:
+        ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
+    except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
+        said = str(error).splitlines() or [type(error).__name__]
+        raise InputError(f"--ray {address}: no cluster to be had ({said[0]}); {TOKEN}") from error
     try:
         yield
     finally:
-        if joined:
-            with _without_stderr():
-                ray.shutdown()
+        ray.shutdown()
 
 
 def _check_address(address: str) -> None:
     """Checks that a server listens at an address: Ray itself would look for it for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
-        raise InputError(f"--ray {address}: is no address; give HOST:PORT of a cluster's head, or auto")
+        raise InputError(f"--ray {address}: is not an address; give HOST:PORT of a cluster's head, or auto")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
     except OSError as error:
         raise InputError(
-            f"--ray {address}: nobody answers there ({error.strerror or error}); give the one that ray start --head printed"
+            f"--ray {address}: there is no answer ({error.strerror or error}); give the address that ray start --head printed"
         ) from error
 
 
-@contextmanager
-def _without_stderr() -> Iterator[None]:
-    """Whatever is written to stderr goes nowhere, also by code that is not Python."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Iterator[Done]:
+def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[Done]:
     """Runs batches on the Ray cluster that is joined. A batch whose worker dies runs again."""
     import ray  # pyright: ignore[reportMissingImports] - an extra
 
@@ -134,9 +113,6 @@ def run_batches(
     write: Callable[[int, Rows, float], None],
 ) -> None:
     """Runs batches wherever they are to run and hands their rows on, one batch at a time."""
-    results = on_ray(plan, batches) if use_ray else local(plan, batches, workers)
-    try:
+    with closing(on_ray(plan, batches) if use_ray else local(plan, batches, workers)) as results:
         for done in results:
             write(*done)
-    finally:
-        results.close()  # pyright: ignore[reportAttributeAccessIssue]

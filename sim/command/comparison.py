@@ -47,7 +47,7 @@ def controllers_of(
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: none can be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: no controller can be designed, the file of a law cannot be read, or the folder does not fit.
     """
     drivers: list[Driver] = []
     errors: dict[str, InputError] = {}
@@ -65,11 +65,7 @@ def controllers_of(
     if exported is None:
         return drivers
     from synth.controller.export.folder import as_exported, read_folder
-    from synth.vehicle.designer import Designer
-
-    def driver_of(vehicle: Vehicle, name: str) -> Driver:
-        given = name in vehicle.linear_names
-        return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
+    from synth.vehicle.designer import driver_of
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
 
@@ -135,10 +131,10 @@ def recorded(
     """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
     Args:
-        options: as the command's parser read them, `--logs` among them.
+        options: options from the command's parser, `--logs` among them.
         controllers: names of those that were run.
-        runs: makes those that are recorded, by the names they have there, and is not called in vain.
-        result: as `--json` prints it.
+        runs: function that returns the runs to record, by their names in the log; called only if logs are written.
+        result: result for `--json`.
     """
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
@@ -167,41 +163,34 @@ def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str
     return outputs
 
 
-def all_log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool, runs: Sequence[Run]) -> list[str]:
-    """Returns the lines of `log_lines` for one log, and a single line on several."""
-    each = [log_lines(one, brief, runs) for one in logs]
-    if len(each) == 1 or brief or not any(each):
-        return [line for lines in each for line in lines]
-    folder = next(Path(path).parent for one in logs for path in one.values() if path)
-    return [Whole(f"  a log for each vehicle: {pasted_path(folder)}")]
-
-
-def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
-    """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
+def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
+    """Returns lines with the recorded files and how to open them, or a line on several logs; empty if nothing was recorded.
 
     Args:
         brief: True for no lines.
-        runs: recorded runs; of more than `FEW` nothing is said but the files.
+        runs: runs that are recorded; for more than `FEW` of them only the files are printed.
     """
-    paths = {name: Path(path) for name, path in logs.items() if path}
-    if not paths or brief:
+    paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
+    if brief or not any(paths):
         return []
     from sim.recording.files import opening_lines
 
-    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths)]
+    if len(paths) > 1:
+        return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
+    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
 
 
 def check_view(options: argparse.Namespace) -> None:
     """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: `--no-logs` disables the recording, or `--open` has no display.
+        InputError: `--no-logs` disables the recording, or no display exists for `--open`.
     """
     if not (options.open or options.serve):
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; leave one out"
+            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; omit one of them"
         )
     if options.open:
         from sim.command.viewer import check_display
@@ -245,11 +234,6 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
     """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
-
-
-def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[str]]:
-    """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict."""
-    return [_compared_lines(run, None if run is passive else passive) for run in runs]
 
 
 def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str]:
@@ -313,12 +297,12 @@ def standings_of(
     without: Sequence[str] = (),
     title: str = "",
 ) -> "list[Standing]":
-    """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
+    """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
         samples: first measured sample, and the one after the last; None for the end of the runs.
         measured: metrics of the runs between these samples, if known.
-        without: part of the vehicle that each run omits; empty if all are as built.
+        without: part of the vehicle that each run omits; empty if no run omits a part.
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
@@ -346,15 +330,15 @@ def standings_of(
     return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
 
 
-def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
-    """Returns the lines of one run; None for the passive one itself."""
-    table = run_lines(run, passive)
+def compared_lines(run: Run, passive: Run | Reference) -> list[str]:
+    """Returns the lines of a run: its controller, its table beside the passive vehicle unless it is that, and its verdict."""
+    code = run.prediction.code_effect
     return [
         *controller_lines(run.vehicle, run.controller),
-        *(f"  {line}" for line in filter(None, [code_line(run.prediction.code_effect, run.vehicle)])),
+        *(f"  {line}" for line in filter(None, [code_line(code, run.vehicle)])),
         "",
-        *table,
-        *code_table(run.prediction.code_effect, run.vehicle),
+        *run_lines(run, None if run is passive else passive),
+        *code_table(code, run.vehicle),
         "",
         *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
     ]

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, or a controller cannot be
-designed, 2 bad input. A run that ends early, diverged or on a flat tyre, is judged until then, and has no metrics.
+exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
+cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there, without metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20
@@ -41,14 +41,14 @@ def parser() -> Parser:
     """The options."""
     parser = Parser(
         "sim.drive",
-        "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",
+        "Drive over a road in MuJoCo and in linear analysis, compare the responses, measure the ride, and record it.",
         EPILOG,
     )
     add_vehicles(parser)
     add_road(parser, "C")
-    add_loads(parser, "pushes the body, on a flat road where none is named")
+    add_loads(parser, "load on the body; the road is flat if no road is given")
     parser.add_number(
-        "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
+        "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
     )
     add_run_options(parser, 20.0)
     return parser
@@ -62,16 +62,16 @@ def add_road(parser: Parser, default: str) -> None:
         metavar="CLASS",
         help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
     )
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
-    parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random road (default: 0)")
+    parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))
     parser.add_number(
         "--from",
         None,
         "m",
-        "distance at which the vehicle starts on a road from a file, whatever the file's unit",
-        "its first point",
+        "start of the vehicle on a road from a file, in metres even if the file has another unit",
+        "first point",
     )
-    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
+    parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
@@ -141,4 +141,4 @@ def _seed(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer") from None

@@ -19,7 +19,7 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines, gaps, starts_later
 from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
-from sim.runs.run import Run, run_controllers, sample_times
+from sim.runs.run import Reference, Run, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
@@ -35,11 +35,12 @@ class Driven:
 
     Attributes:
         vehicle: vehicle of the file.
-        title: its name in the answer; empty if it is the only one.
+        title: title of the answer; empty if it is the only one.
         names: requested controllers.
-        runs: runs of the controllers as built, then of those without a part of the vehicle.
-        without: omitted part for each run; empty as built.
+        runs: runs of the implemented controllers, then of those without a part of the vehicle.
+        without: omitted part for each run; empty as implemented.
         design: designs the vehicle's linear controllers.
+        metrics: ride metrics of each run; empty if none are measured.
     """
 
     vehicle: Vehicle
@@ -48,10 +49,11 @@ class Driven:
     runs: Sequence[Run]
     without: Sequence[str]
     design: Callable[[str], Controller]
+    metrics: "Sequence[RunMetrics]" = ()
 
     @property
     def built(self) -> list[Run]:
-        """The runs as built."""
+        """The runs of the implemented loops."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
@@ -64,9 +66,13 @@ class Driven:
         """The names, in the answer, of the runs without a part."""
         return [run.controller.name for run, part in zip(self.shown, self.without, strict=True) if part]
 
-    @property
+    @cached_property
+    def passive(self) -> Run | Reference:
+        """The run of the passive vehicle."""
+        return comparison.passive_beside(self.built, self.design)
+
     def logged(self) -> dict[str, Run]:
-        """The runs by their names in a log."""
+        """Returns the runs by their names in a log."""
         return {f"{run.controller.name}{logged_variant(part)}": run for run, part in self._pairs}
 
     @property
@@ -93,18 +99,16 @@ def _named(run: Run, name: str) -> Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """Ride metrics of all runs, in their order.
+class Interval:
+    """Samples between which the ride is measured.
 
     Attributes:
         samples: first measured sample, and the one after the last; None for the end of the runs.
-        metrics: metrics of every run.
-        words: the measured interval, in words.
+        words: the interval in words.
         start, end: times of the first and last of these samples [s].
     """
 
     samples: tuple[int, int | None]
-    metrics: "Sequence[RunMetrics]"
     words: str
     start: float
     end: float
@@ -116,9 +120,9 @@ def drive(
     """Runs the command; returns its exit code.
 
     Args:
-        options: as the command's parser read them.
+        options: options from the command's parser.
         road_of: returns the requested road under a vehicle at its sample times [s].
-        where: describes the road in words.
+        where: function that describes the road in words.
         rides: True to measure the ride, and the response to a step.
 
     Raises:
@@ -142,34 +146,38 @@ def drive(
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
 
     driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
+    interval = None
+    if rides:
+        from sim.studies.ride.run_metrics import measure_run
+
+        interval = _interval(options, [run for each in driven for run in each.runs], road, time)
+        driven = [replace(each, metrics=[measure_run(run, *interval.samples) for run in each.runs]) for each in driven]
     runs = [run for each in driven for run in each.runs]
     shown = [run for each in driven for run in each.shown]
-    measured = _measured(options, driven, road, time) if rides else None
-    results = _results(options, driven, measured)
+    results = [_result(options, each, interval) for each in driven]
     result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
     if left := sorted({name for one in results for name in one.get("left_out", ())}):
         result["left_out"] = left
     logs = [
         comparison.recorded(
-            options, each.vehicle, list(dict.fromkeys(run.controller.name for run in each.runs)), _logged(each), one
+            options, each.vehicle, list(dict.fromkeys(run.controller.name for run in each.runs)), each.logged, one
         )
         for each, one in zip(driven, results, strict=True)
     ]
     steps = _steps(options, runs, road) if rides else []
     outputs = comparison.write_histories(options, shown, where(road))
-    passive = [comparison.passive_beside(each.built, each.design) for each in driven]
-    standings, k = [], 0
-    for each, beside in zip(driven, passive, strict=True):
-        mine = measured.metrics[k : k + len(each.runs)] if measured else ()
-        samples, k = measured.samples if measured else (0, None), k + len(each.runs)
-        standings += comparison.standings_of(each.runs, beside, samples, mine, each.without, each.title)
+    samples = interval.samples if interval is not None else (0, None)
+    standings = [
+        one
+        for each in driven
+        for one in comparison.standings_of(each.runs, each.passive, samples, each.metrics, each.without, each.title)
+    ]
     if options.json:
-        step = _step_object(options, runs, steps) if rides else None
         print(
             json.dumps(
                 {
                     **result,
-                    **({"step": step} if rides else {}),
+                    **({"step": _step_object(options, runs, steps)} if rides else {}),
                     "compared": standings_object(standings),
                     **written(outputs),
                     "logs": logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)},
@@ -182,18 +190,18 @@ def drive(
         on = f"a road: {where(road)}" if rides else where(road)
         sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
-        lines += _above(options, driven, passive, measured, road, time)
+        lines += _above(options, driven, interval, road)
         if steps and not options.brief:
             from sim.studies.ride.step_response import step_lines
 
             lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
-        settled = ", when all have settled" if measured and road.spectrum and measured.start < options.duration / 2 else ""
-        about = f"MuJoCo, {measured.words if measured else 'all of the run'}{settled}"
+        settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
+        about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
         several = len(driven) > 1
         lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
-        part = measured is not None and (measured.start > 0 or measured.samples[1] is not None)
+        part = interval is not None and (interval.start > 0 or interval.samples[1] is not None)
         lines += comparison.stop_lines(shown, options.verbose or several, part)  # several have their travel in per cent
-        lines += [*written_lines(outputs), *comparison.all_log_lines(logs, options.brief, shown)]
+        lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         say([*lines, "", *summary_lines(shown, several)])
     for one in logs:
         comparison.view(options, one)
@@ -225,10 +233,10 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
             raise InputError(f"--without {part} is given twice; give it once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file has that in [limits], [implementation] or [actuators]; leave it out"
+                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit the option"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
-        raise InputError("--as drives one vehicle as it is built; leave --without and further --vehicle out")
+        raise InputError("--as drives one vehicle as implemented; omit --without and give one --vehicle")
     if len(vehicles) > 1 and (options.open or options.serve):
         raise InputError("--open and --serve show the recording of one vehicle, and each has its own; give one --vehicle")
 
@@ -246,39 +254,33 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
     return Driven(vehicle, title, names, runs, parts, design)
 
 
-def _measured(options: Namespace, driven: Sequence[Driven], road: Road, time: Array) -> Measured:
-    """Measures the ride of all runs, between the same samples."""
-    from sim.studies.ride import run_metrics
+def _interval(options: Namespace, runs: Sequence[Run], road: Road, time: Array) -> Interval:
+    """Returns the samples between which the ride of all runs is measured."""
+    from sim.studies.ride.run_metrics import measured_samples, measured_words
 
-    runs = [run for each in driven for run in each.runs]
     pairs = [(run.vehicle, run.controller) for run in runs]
-    first, end = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
-    metrics = [run_metrics.measure_run(run, first, end) for run in runs]
-    words = run_metrics.measured_words(time, (first, end))
-    return Measured((first, end), metrics, words, float(time[first]), float(time[-1 if end is None else end - 1]))
+    first, end = measured_samples(pairs, road, options.duration, options.timestep)
+    words = measured_words(time, (first, end))
+    return Interval((first, end), words, float(time[first]), float(time[-1 if end is None else end - 1]))
 
 
-def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | None) -> list[dict[str, Any]]:
-    """Returns the result of every vehicle, as logs and JSON have it."""
-    results, metrics = [], list(measured.metrics) if measured else []
-    for each in driven:
-        road, time = each.runs[0].road, each.runs[0].prediction.time
-        result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
-        if measured is not None:
-            from sim.studies.ride import run_metrics
-            from sim.studies.ride.metrics import DEFINITIONS
+def _result(options: Namespace, each: Driven, interval: Interval | None) -> dict[str, Any]:
+    """Returns the result of a vehicle for its log and JSON."""
+    road, time = each.runs[0].road, each.runs[0].prediction.time
+    result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
+    if interval is not None:
+        from sim.studies.ride.metrics import DEFINITIONS
+        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, roughness_object
 
-            mine, metrics = metrics[: len(each.runs)], metrics[len(each.runs) :]
-            rows = zip(each.objects, each.runs, mine, strict=True)
-            result |= {
-                "runs": [one | run_metrics.metrics_object(run, of_run) for one, run, of_run in rows],
-                "measured_from": measured.start,
-                **({} if measured.samples[1] is None else {"measured_until": measured.end}),
-                "definitions": DEFINITIONS,
-                "iri": run_metrics.roughness_object(run_metrics.driven_roughness(each.vehicle, road, time)),
-            }
-        results.append(result | comparison.left_out_object(each.names, [run.controller.name for run in each.built]))
-    return results
+        rows = zip(each.objects, each.runs, each.metrics, strict=True)
+        result |= {
+            "runs": [one | metrics_object(run, of_run) for one, run, of_run in rows],
+            "measured_from": interval.start,
+            **({} if interval.samples[1] is None else {"measured_until": interval.end}),
+            "definitions": DEFINITIONS,
+            "iri": roughness_object(driven_roughness(each.vehicle, road, time)),
+        }
+    return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
 
 
 def _steps(options: Namespace, runs: Sequence[Run], road: Road) -> "list[dict[str, SignalSteps]]":
@@ -295,37 +297,31 @@ def _step_object(options: Namespace, runs: Sequence[Run], steps: "list[dict[str,
     return {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
 
 
-def _logged(each: Driven) -> Callable[[], Mapping[str, Run]]:
-    return lambda: each.logged
-
-
-def _above(
-    options: Namespace, driven: Sequence[Driven], passive: Sequence[Any], measured: Measured | None, road: Road, time: Array
-) -> list[str]:
+def _above(options: Namespace, driven: Sequence[Driven], interval: Interval | None, road: Road) -> list[str]:
     """Returns the lines above the table: with `-v` every run in full, else what is special about some."""
-    shown, lines = [run for each in driven for run in each.shown], list[str]()
-    if measured is not None:
+    shown, metrics = [run for each in driven for run in each.shown], [one for each in driven for one in each.metrics]
+    lines = list[str]()
+    if interval is not None:
         from sim.runs.start import start_lines
 
         lines += end_lines(road, options.duration)
         for each in driven:
-            built = [run for run in each.shown if run.controller.name not in each.variants]
-            lines += start_lines(built, starts_later(options))
+            lines += start_lines([run for run in each.shown if run.controller.name not in each.variants], starts_later(options))
     if options.verbose:
-        rows = [of for each, beside in zip(driven, passive, strict=True) for of in comparison.compared_lines(each.shown, beside)]
-        for i, of_run in enumerate(rows):
-            lines += ["", *of_run]
-            if measured is not None:
-                from sim.studies.ride.run_metrics import driven_roughness, metric_lines
+        from sim.studies.ride.run_metrics import driven_roughness, metric_lines
 
-                rough = driven_roughness(shown[i].vehicle, shown[i].road, time)
-                lines += ["", *metric_lines(shown[i], measured.metrics[i], measured.start, measured.end, rough)]
+        for each in driven:
+            for run, own in zip(each.shown, each.metrics or [None] * len(each.shown), strict=True):
+                lines += ["", *comparison.compared_lines(run, each.passive)]
+                if interval is not None and own is not None:
+                    rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
+                    lines += ["", *metric_lines(run, own, interval.start, interval.end, rough)]
     elif not options.brief:
         lines += comparison.short_lines(shown, [name for each in driven for name in each.variants])
-        if measured is not None:
+        if interval is not None:
             from sim.studies.ride.run_metrics import angle_lines, broken_lines, expected_lines
 
             lines += shared_lines([(run.controller.name, line) for run in shown for line in broken_lines(run)])
-            lines += angle_lines(shown, measured.metrics)
-            lines += expected_lines(shown, measured.metrics) if len(driven) == 1 else []  # of several -v has them
+            lines += angle_lines(shown, metrics)
+            lines += expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
     return lines

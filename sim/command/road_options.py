@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 def add_vehicles(parser: Parser) -> None:
     """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
-    parser.add_controller_and_vehicle("required", several="compare several vehicles in one table")
+    parser.add_controller_and_vehicle("required", several="one table of all vehicles")
     parser.add_argument(
         "--without",
         action="append",
         choices=WITHOUT,
         default=[],
-        help="also run every controller without this part of the vehicle file, to see what it costs: noise (and quantisation), "
-        "delay of the forces, limits (largest force and bump stops), lag of the actuators; may be repeated",
+        help="also run every controller without this part of the vehicle file, to show its effect: sensor noise and "
+        "quantisation, delay of the forces, limits (largest force and bump stops), or lag of the actuators; may be repeated",
     )
 
 
@@ -46,33 +46,33 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 def add_run_options(parser: Parser, duration: float) -> None:
     """Adds `--duration` with its default [s], `--timestep`, `--as`, and the options of logs, viewers and output."""
     add_exported(parser)
-    parser.add_number("--duration", duration, "s", "how long to run")
+    parser.add_number("--duration", duration, "s", "duration of the run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     parser.add_argument(
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw MuJoCo over the analysis, a panel for each weighed signal (.png or .svg)",
+        help="draw MuJoCo and linear analysis over time, with a panel for each weighted signal (.png or .svg)",
     )
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write every signal over time, MuJoCo's and the analysis', as a table (.csv)"
+        "--csv", type=Path, metavar="FILE", help="write all signals over time, of MuJoCo and linear analysis (.csv)"
     )
     logs = parser.add_mutually_exclusive_group()
-    logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
+    logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(
-        "--open", action="store_true", help="open the recording in Rerun's window, which stays when the command ends"
+        "--open", action="store_true", help="open the recording in a Rerun window, which remains open after the command"
     )
-    view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine, until Ctrl-C")
+    view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine until Ctrl-C")
     parser.add_printed(
-        "gains, every signal and all sentences behind the verdict",
-        "print only which controller is best at what, and the verdicts",
+        "gains, all signals and the details of the verdict",
+        "print only the comparison of controllers and the verdicts",
     )
 
 
 def add_exported(
-    parser: Parser, what: str = "let the compiled code of this folder of python -m synth --export drive its controller"
+    parser: Parser, what: str = "run the controller as compiled code from this folder, written by python -m synth --export"
 ) -> None:
     """Adds `--as`."""
     parser.add_argument(
@@ -85,7 +85,6 @@ def add_exported(
 
 
 def add_loads(parser: Parser, what: str) -> None:
-    """`--load`, again and again."""
-    parser.add_argument(
-        "--load", dest="loads", action="append", default=[], metavar="LOAD", help=f"{what}; several act together: {LOAD_SYNTAX}"
-    )
+    """Adds `--load`, which may be repeated."""
+    meaning = f"{what}; may be repeated, and all loads act together: {LOAD_SYNTAX}"
+    parser.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)

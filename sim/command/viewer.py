@@ -12,8 +12,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from models.common.errors import InputError
@@ -71,30 +70,29 @@ def serve_viewer(recording: Path) -> None:
     Says on stderr where it is, as stdout is for the result.
 
     Raises:
-        InputError: it does not come up.
+        InputError: the viewer does not start.
     """
     page, data = _free_ports(2)
-    command = [
-        *_command(),
-        "--serve-web",
-        "--bind",
-        LOOPBACK,
-        "--web-viewer-port",
-        str(page),
-        "--port",
-        str(data),
-        str(recording),
-    ]
+    ports = ["--bind", LOOPBACK, "--web-viewer-port", str(page), "--port", str(data)]
+    command = [*_command(), "--serve-web", *ports, str(recording)]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # it, too, ends the web viewer
+    process = subprocess.Popen(  # in a session that Ctrl-C does not reach
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     try:
-        with _ended_with(command) as process:
-            _wait_until_up(process, f"http://{LOOPBACK}:{page}")
-            print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
-            process.wait()
-            raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
+        _wait_until_up(process, f"http://{LOOPBACK}:{page}")
+        print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
+        process.wait()
+        raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
     except KeyboardInterrupt:
         return
+    finally:
+        for end in (process.terminate, process.kill):
+            end()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(ENDING)
+                break
 
 
 def _command() -> list[str]:
@@ -114,22 +112,6 @@ def _free_ports(count: int) -> list[int]:
     for one in sockets:
         one.close()
     return ports
-
-
-@contextmanager
-def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
-    """Context of a program that Ctrl-C does not reach, and that ends with the block."""
-    process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        yield process
-    finally:
-        for end in (process.terminate, process.kill):
-            end()
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(ENDING)
-                break
 
 
 def _wait_until_up(process: subprocess.Popen, address: str) -> None:

@@ -12,14 +12,12 @@ from typing import Any
 
 from models.common.command import Parser, complain
 from models.common.errors import InputError
-from models.common.printed import Whole, say, wrapped
-
-LISTED = 16  # logs; of more only those are listed that do not prove what they claim
+from models.common.printed import Whole, say
 
 EPILOG = """
-exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
+The command runs the logged vehicle again, compares the signals and results, and checks the certificate of the controller.
 
-It runs the logged vehicle again and compares: does the vehicle file do this, and does its certificate hold?
+exit code: 0 the log still proves its claims; 1 it does not; 2 invalid input; for several logs, the largest code
 
 examples:
   python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
@@ -34,97 +32,70 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or a single file that is no log of ours.
+        InputError: bad options, or a single file that is not a log of Roadproof.
     """
     options = _parser().parse_args(arguments)
     from models.figures.outputs import check_outputs
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
-    from sim.inspect.report import proof_lines, proof_object
+    from sim.inspect.report import proof_lines, proof_object, short_line, write_signals
 
-    if options.kinds is not None and not options.kinds.is_dir():
-        raise InputError(f"kinds {options.kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
-    if len(options.logs) > 1:
-        if options.csv is not None:
-            raise InputError(
-                f"--csv writes the signals of one log, and {len(options.logs)} were named; give one, or leave it out"
-            )
-        return _several(options.logs, options.kinds, options.verbose, options.json)
-    (path,) = options.logs
-    kinds = [file for ending in ("py", "xml") for file in options.kinds.glob(f"*.{ending}")] if options.kinds is not None else []
-    check_outputs({"csv": options.csv}, [path, *kinds], options.json)
-    log = read_log(path)
-    proof = prove(log, options.kinds)
-    if options.csv is not None:
-        from sim.inspect.table import write_signals
-
-        write_signals(options.csv, proof)
-    if options.json:
-        print(json.dumps(proof_object(proof) | {"csv": str(options.csv) if options.csv else None}, allow_nan=False))
-    else:
-        csv = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
-        say([*csv, *proof_lines(proof, options.verbose)])
-    return 0 if proof.holds else 1
-
-
-def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: bool) -> int:
-    """Inspects logs in turn, and keeps none; a file that is no log is said, and the others are inspected all the same.
-
-    Args:
-        full: True for all findings, else a line for each log.
-
-    Returns:
-        The worst exit code.
-    """
-    from sim.inspect.log import read_log
-    from sim.inspect.proof import prove
-    from sim.inspect.report import broken_text, proof_lines, proof_object
-
+    kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
+    if kinds is not None and not kinds.is_dir():
+        raise InputError(f"kinds {kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
+    if options.csv is not None and not alone:
+        raise InputError(f"--csv writes the signals of one log, and {len(paths)} are given; give one log, or omit --csv")
+    read = [file for ending in ("py", "xml") for file in kinds.glob(f"*.{ending}")] if kinds is not None else []
+    check_outputs({"csv": options.csv}, [*paths, *read], options.json)
     objects: list[dict[str, Any]] = []
     code = 0
     for path in paths:
         try:
             proof = prove(read_log(path), kinds)
-        except InputError as error:
+        except InputError as error:  # the other logs are inspected all the same
+            if alone:
+                raise
             code = 2
             objects.append({"log": str(path), "proves": False, "error": str(error)})
             complain(str(error))
             continue
         code = max(code, 0 if proof.holds else 1)
         objects.append(proof_object(proof))
-        if as_json:
-            continue
-        if full:
-            say([*proof_lines(proof), ""])
-        elif not proof.holds:
-            say([Whole(f"DOES NOT PROVE  {path}"), *wrapped(broken_text(proof), "  ", 4)])
-        elif len(paths) <= LISTED:
-            say([Whole(f"still proves    {path}")])
+        lines = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
+        if options.csv is not None:
+            write_signals(options.csv, proof)
+        if alone or options.verbose:
+            lines += [*proof_lines(proof, options.verbose), *([] if alone else [""])]
+        else:
+            lines += short_line(proof)
+        if not options.json:
+            say(lines)
     hold = sum(one["proves"] for one in objects)
-    if as_json:
-        print(json.dumps({"logs": objects, "proves": hold == len(paths)}, allow_nan=False))
-    else:
+    if options.json:
+        result = objects[0] | {"csv": str(options.csv) if options.csv else None} if alone else {"logs": objects}
+        print(json.dumps(result if alone else result | {"proves": hold == len(paths)}, allow_nan=False))
+    elif not alone:
         said = f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}"
-        say([said] if full else ["-v has every finding", "", said])
+        say([said] if options.verbose else ["-v has every finding", "", said])
     return code
 
 
 def _parser() -> Parser:
     parser = Parser(
         "sim.inspect",
-        "Says what logs are, and by computing it anew from what each holds, whether it still proves what it claims.",
+        "Recompute logged runs from the content of each log, and check whether the log still proves its claims.",
         EPILOG,
     )
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an .mcap file that a run has written; several in turn")
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=".mcap file of a run; one or more")
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write MuJoCo's, the logged and the recomputed signals of one log"
+        "--csv", type=Path, metavar="FILE", help="write the signals of one log: logged, and recomputed by MuJoCo (.csv)"
     )
     parser.add_argument(
-        "--kinds", type=Path, metavar="DIR", help="folder of a kind of vehicle of your own; its Python is run (default: none)"
+        "--kinds", type=Path, metavar="DIR", help="folder of a custom vehicle type, whose Python is executed (default: none)"
     )
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, also of several logs")
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, for several logs, too")
     printed.add_argument(
-        "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
+        "--json", action="store_true", help="print one JSON object and nothing else; for several logs {logs, proves}"
     )
     return parser

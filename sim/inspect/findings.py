@@ -1,20 +1,20 @@
 """Findings about a log: claims that hold or fail, and differences of numbers from recomputed ones."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
 from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-SINCE = ("until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference")  # keys that older logs may lack
-GONE = ("geometry", "otherwise", "played")  # keys of older logs alone
+SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference"}  # older logs may lack these
+GONE = {"geometry", "otherwise", "played"}  # keys of older logs alone
+DIFFERENCES = {"half_step", "code_difference"}  # of two runs that may each be `SAME` of a peak off, and so may they
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 
@@ -24,7 +24,7 @@ class Finding:
 
     Attributes:
         part: subject of the claim.
-        verdict: one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
+        verdict: verdict, one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
         text: the result in words.
     """
 
@@ -32,76 +32,54 @@ class Finding:
     verdict: str
     text: str
 
+    @property
+    def proved(self) -> bool:
+        """Returns True if there is nothing wrong."""
+        return self.verdict in (HOLDS, NOTE)
+
 
 def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
     """Returns the largest difference between logged and recomputed response, over the peak of each signal, and that signal's
-    name.
+    name; infinite if a logged number is not finite.
     """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
     logged, again = logged.until(end), again.until(end)
-    far = {name: exceeds(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in logged.names}
-    worst = max(far, key=lambda name: far[name])
+    if not len(again.time):
+        return 0.0, ""
+    shares = {name: float(np.abs(logged[name] - again[name]).max()) / (again.scale(name) or 1.0) for name in logged.names}
+    far = {name: share if math.isfinite(share) else math.inf for name, share in shares.items()}
+    worst = max(far, key=far.__getitem__)
     return far[worst], worst
 
 
-def exceeds(logged: Array, again: Array, scale: float | None = None) -> float:
-    """Returns the largest difference, over a scale, by default the peak; infinite if a logged number is not finite."""
-    if not np.all(np.isfinite(logged)):
-        return math.inf
-    size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
-    return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
+def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields every number, text and empty container of a JSON value, with its path."""
+    if not isinstance(value, (Mapping, list)) or not value:
+        yield path, value
+        return
+    for key, part in value.items() if isinstance(value, Mapping) else enumerate(value):
+        yield from leaves(part, f"{path}.{key}".removeprefix("."))
 
 
-def equal(said: Any, now: Any, relative: float, absolute: float) -> bool:
-    """Returns True if two JSON values are equal, numbers to a tolerance."""
-    if isinstance(now, list):
-        if not isinstance(said, list) or len(said) != len(now):
-            return False
-        return all(equal(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
-    if isinstance(now, (int, float)) and not isinstance(now, bool):
-        number = isinstance(said, (int, float)) and not isinstance(said, bool)
-        return number and abs(said - now) <= max(relative * abs(now), absolute)
-    return said == now
-
-
-def different(said: Any, now: Any, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
-    """Yields the paths at which a JSON value differs from the recomputed one.
-
-    Args:
-        path: of the value in the whole.
-        absolute: tolerance of numbers, if that is more than the relative one, `SAME`.
-    """
-    if not isinstance(now, Mapping):
-        if not equal(said, now, SAME, absolute):
+def different(said: Any, now: Any) -> Iterator[str]:
+    """Yields the paths at which a JSON value differs from the recomputed one, numbers by more than `SAME`, relative."""
+    there, here = dict(leaves(said)), dict(leaves(now))
+    for path, value in here.items():
+        keys = {*path.split(".")}
+        if path not in there:
+            yield from () if keys & SINCE else (f"{path} is missing",)
+        elif not _equal(there[path], value, SAME if keys & DIFFERENCES else ROUNDING):
             yield path
-        return
-    if not isinstance(said, Mapping):
-        yield path
-        return
-    for key, value in now.items():
-        here = f"{path}.{key}" if path else key
-        # Of two runs that may each be `SAME` of a peak off, the difference may be, too.
-        near = SAME if key in ("half_step", "code_difference") else absolute
-        if key in said:
-            yield from different(said[key], value, here, near)
-        elif key not in SINCE:
-            yield f"{here} is missing"
-    for key in said:
-        if key not in now and key not in GONE:
-            yield f"{path + '.' if path else ''}{key} is unknown"
+    yield from (f"{path} is unknown" for path in there if path not in here and not {*path.split(".")} & GONE)
 
 
-def merge_repeats(names: Sequence[str], what: str) -> str:
-    """The first of many that are wrong for one cause, and how many more there are, of what kind."""
-    more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
-    return names[0] + more
+def _equal(said: Any, now: Any, absolute: float) -> bool:
+    if is_number(said) and is_number(now):
+        return abs(said - now) <= max(SAME * abs(now), absolute)
+    return type(said) is type(now) and said == now
 
 
-def count(value: Any) -> int:
-    """Returns the number of numbers in a JSON value."""
-    if isinstance(value, Mapping):
-        return sum(count(item) for item in value.values())
-    if isinstance(value, list):
-        return sum(count(item) for item in value)
-    return int(isinstance(value, (int, float)) and not isinstance(value, bool))
+def is_number(value: Any) -> bool:
+    """Returns True for a number of JSON."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

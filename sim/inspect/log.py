@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -23,13 +23,20 @@ RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS)
 GIVE = "give an .mcap file that a run has written"
 
 
+class Part(dict[str, Any]):
+    """Part of a log by name; an InputError names what is missing."""
+
+    def __missing__(self, key: str) -> NoReturn:
+        raise InputError(f"the log has no {key!r}")
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """A response in a log.
 
     Attributes:
-        names: of its signals, S of them.
-        times: [ns], shape (T,).
+        names: names of the S signals.
+        times: times of the samples [ns], shape (T,).
         values: shape (T, S).
     """
 
@@ -43,9 +50,9 @@ class RecordedRun:
     """A run in a log.
 
     Attributes:
-        name: its name.
-        claims: its metadata as text, by key, see `sim.recording.run_records.run_log`.
-        responses: those of `RESPONSES` that the log has.
+        name: name of the run.
+        claims: metadata as text, by key, see `sim.recording.run_records.run_log`.
+        responses: responses that the log contains, by their names in `RESPONSES`.
     """
 
     name: str
@@ -53,14 +60,8 @@ class RecordedRun:
     responses: Mapping[str, Samples]
 
     def claim(self, key: str) -> Any:
-        """Returns the claim of a key that holds JSON.
-
-        Raises:
-            InputError: the log has no such claim, or it is not JSON.
-        """
-        if key not in self.claims:
-            raise InputError(f"the log claims no {key}")
-        return read_json(self.claims[key], key)
+        """Returns the claim of a key that holds JSON."""
+        return json.loads(self.claims[key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +69,11 @@ class Log:
     """A log.
 
     Attributes:
-        path: its file.
-        metadata: of the whole log, as text by key.
-        attachments: their contents, by name.
-        runs: in the order of the file.
-        messages: how many it has, of all channels.
+        path: path of the file.
+        metadata: metadata of the whole log, as text by key.
+        attachments: contents of the attachments, by name.
+        runs: runs in the order of the file.
+        messages: number of messages, in all channels.
     """
 
     path: Path
@@ -87,94 +88,53 @@ class Log:
         return float(self.metadata["timestep"])
 
     @property
-    def result(self) -> dict[str, Any]:
-        """Returns the attached result of the command, a JSON object.
-
-        Raises:
-            InputError: it is not attached, or is not JSON.
-        """
-        if "result.json" not in self.attachments:
-            raise InputError("result.json is not attached")
-        return read_json(self.attachments["result.json"], "result.json")
-
-    def attached(self, run: RecordedRun, claim: str) -> bytes:
-        """Returns the attachment that a run's claim names.
-
-        Raises:
-            InputError: it is not attached.
-        """
-        name = run.claims.get(claim, "")
-        if name not in self.attachments:
-            raise InputError(f"its {claim.replace('_', ' ')} is not attached")
-        return self.attachments[name]
+    def versions(self) -> dict[str, str]:
+        """Returns the versions of the packages that wrote it."""
+        return json.loads(self.metadata.get("versions", "{}"))
 
 
 def read_log(path: Path) -> Log:
     """Reads a log; the MCAP library compares the checksums of its chunks, attachments and data.
 
     Raises:
-        InputError: it cannot be read, is not MCAP, is cut or damaged, is of another format, or Roadproof has not written it.
+        InputError: the file cannot be read, is not MCAP, is damaged, has another version, or was not written by Roadproof.
     """
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader
 
-    metadata: dict[str, Mapping[str, str]] = {}
-    attachments: dict[str, bytes] = {}
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    messages: dict[int, list[Message]] = defaultdict(list)
+    records, messages = defaultdict[type, list[Any]](list), defaultdict[int, list[Any]](list)
     with reading(path, "log", GIVE), path.open("rb") as stream:
         for record in StreamReader(stream, validate_crcs=True).records:
-            match record:
-                case Metadata():
-                    metadata[record.name] = record.metadata
-                case Attachment():
-                    attachments[record.name] = record.data
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = record
-                case Message():
-                    messages[record.channel_id].append(record)
+            records[type(record)].append(record)
+        metadata = {one.name: one.metadata for one in records[Metadata]}
         if PACKAGE not in metadata:
             raise InputError(f"Roadproof has not written it; {GIVE}")
-        common = metadata[PACKAGE]
-        if common.get("format") != str(FORMAT):
-            versions = read_json(common.get("versions", "{}"), "versions")
-            raise InputError(
-                f"is of format {common.get('format')}, written by Roadproof {versions.get('roadproof', 'of an early version')}; "
-                f"this version reads format {FORMAT}: take the version that wrote it"
-            )
-        topics = {channel.topic: (schemas[channel.schema_id], messages[channel.id]) for channel in channels.values()}
+        for one in records[Message]:
+            messages[one.channel_id].append(one)
+        schemas = {one.id: one for one in records[Schema]}
+        topics = {one.topic: (schemas[one.schema_id], messages[one.id]) for one in records[Channel]}
         names = [name.removeprefix("run/") for name in metadata if name.startswith("run/")]
         runs = []
         for name in names:
             prefix = f"/{name}/" if len(names) > 1 else "/"
-            responses = {one: _samples(*topics[prefix + one]) for one in RESPONSES if prefix + one in topics}
-            runs.append(RecordedRun(name, metadata[f"run/{name}"], responses))
-    return Log(path, common, attachments, tuple(runs), sum(map(len, messages.values())))
-
-
-def read_json(text: str | bytes, what: str) -> Any:
-    """Returns JSON from a log.
-
-    Raises:
-        InputError: it is not JSON.
-    """
-    try:
-        return json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{what} is not JSON") from error
+            responses = Part({one: _samples(*topics[prefix + one]) for one in RESPONSES if prefix + one in topics})
+            runs.append(RecordedRun(name, Part(metadata[f"run/{name}"]), responses))
+        attachments = Part({one.name: one.data for one in records[Attachment]})
+        log = Log(path, metadata[PACKAGE], attachments, tuple(runs), len(records[Message]))
+        if (written := log.metadata.get("format")) != str(FORMAT):
+            raise InputError(
+                f"is of format {written}, written by Roadproof {log.versions.get('roadproof', 'of an early version')}; this "
+                f"version reads format {FORMAT}: take the version that wrote it"
+            )
+    return log
 
 
 def _samples(schema: Any, messages: list[Any]) -> Samples:
     """Returns the messages of a topic as numbers. `mcap_writer` writes every field of every message, in order."""
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     times = np.array([message.log_time for message in messages], dtype=np.int64)
-    if not messages:
-        return Samples(tuple(field.name for field in fields), times, np.zeros((0, len(fields))))
-    rows = np.frombuffer(b"".join(message.data for message in messages), np.uint8).reshape(len(messages), -1)
     tags = [1 if field.number < 16 else 2 for field in fields]  # bytes before each number
     starts = np.cumsum(tags) + 8 * np.arange(len(fields))
+    rows = np.frombuffer(b"".join(message.data for message in messages), np.uint8).reshape(-1, starts[-1] + 8)
     values = [np.ascontiguousarray(rows[:, start : start + 8]).view("<f8") for start in starts]
     return Samples(tuple(field.name for field in fields), times, np.hstack(values).astype(float))

@@ -1,22 +1,37 @@
 """Proof of a log: its runs are made again, and responses, certificates and claims are compared."""
 
-from collections.abc import Callable, Iterator
+import json
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from models.common.errors import InputError
 from models.laws.python_law import Programmed
+from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
-from sim.inspect import claims
-from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
+from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
 from sim.inspect.log import Log, RecordedRun
-from sim.inspect.replay import Replay, implemented, recorded_controller, recorded_vehicle, replay
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING
+from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
+from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
+from sim.recording.run_records import claims_of
+from sim.response.response import Response
+from sim.runs.agreement import ROUNDING
+from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, energy_lines, half_step_object, run_object, verdict_lines
+from sim.runs.run import Run
+from sim.studies.ride.metrics import DEFINITIONS
+from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
+from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
 
+PREDICTED = "rounding"  # of exported code, in results of earlier versions: it is measured now
+REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
+OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # what numbers and keys that are not a run's come to
+GOALS = "vehicle.toml has goals for it ({goals}), of which the log claims nothing; python -m synth checks them"
 NOT_RUN = "its attached text was not run: it applies the forces that the log has"
 
 
@@ -26,13 +41,13 @@ class Inspected:
 
     Attributes:
         recorded: the run in the log.
-        findings: about every claim.
+        findings: findings about every claim.
         again: the run made again, or None if that was not possible.
     """
 
     recorded: RecordedRun
     findings: tuple[Finding, ...]
-    again: Replay | None
+    again: Run | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +55,10 @@ class Proof:
     """A log, checked.
 
     Attributes:
-        log: what was read.
-        vehicle: of the attached file, or None.
-        findings: about the file as a whole.
-        runs: its runs.
+        log: log that was read.
+        vehicle: vehicle of the attached file, or None.
+        findings: findings about the file as a whole.
+        runs: runs of the log.
     """
 
     log: Log
@@ -52,10 +67,16 @@ class Proof:
     runs: tuple[Inspected, ...]
 
     @property
+    def broken(self) -> list[str]:
+        """Returns the parts of which something is not proved."""
+        wrong = [f"the {one.part}" for one in self.findings if not one.proved]
+        wrong += [f"{one.part} of {run.recorded.name}" for run in self.runs for one in run.findings if not one.proved]
+        return list(dict.fromkeys(wrong))
+
+    @property
     def holds(self) -> bool:
         """Returns True if the log proves everything that it claims."""
-        findings = [*self.findings, *(finding for run in self.runs for finding in run.findings)]
-        return bool(self.runs) and all(finding.verdict in (HOLDS, NOTE) for finding in findings)
+        return bool(self.runs) and not self.broken
 
 
 @np.errstate(all="ignore")  # an unstable loop overflows
@@ -66,8 +87,7 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
         kinds: folder of vehicle types of the user's own; see `recorded_vehicle`.
     """
     findings = [Finding("file", HOLDS, f"{log.messages} messages, every checksum right")]
-    if not log.runs:
-        findings.append(Finding("runs", MISSING, "the log has no run"))
+    findings += [] if log.runs else [Finding("runs", MISSING, "the log has no run")]
     try:
         vehicle = recorded_vehicle(log, kinds)
     except InputError as error:
@@ -78,39 +98,147 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
 
 def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
     """Checks every claim of one run. A step that fails ends what depends on it."""
-    findings: list[Finding] = []
     try:
         own = implemented(vehicle, recorded)
         controller = recorded_controller(log, own, recorded)
     except WRONG as error:
         return Inspected(recorded, (Finding("controller", FAILS, str(error)),), None)
-    if own.implementation != vehicle.implementation:
-        there, here = vars(vehicle.implementation), vars(own.implementation)
-        text = ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key])
-        findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {text}"))
+    findings: list[Finding] = []
+    there, here = vars(vehicle.implementation), vars(own.implementation)
+    if other := ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key]):
+        findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {other}"))
     if isinstance(controller, Controller):
-        findings += _findings("certificate", lambda: claims.check_certificate(own, controller, recorded, log.timestep))
-        findings += _findings("goals", lambda: claims.check_goals(vehicle, controller))
-    elif isinstance(controller, Programmed):
-        findings.append(Finding("certificate", NOTE, f"{NO_CLAIM.format(kind=controller.kind)}; {NOT_RUN}"))
+        findings += _findings("certificate", _check_certificate(own, controller, recorded, log.timestep))
+        if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
+            findings.append(Finding("goals", NOTE, GOALS.format(goals=", ".join(entry.goals.record))))
     else:
-        findings.append(Finding("certificate", NOTE, NO_CLAIM_OF_SWITCHING))
+        text = f"{NO_CLAIM.format(kind=controller.kind)}; {NOT_RUN}" if isinstance(controller, Programmed) else ""
+        findings.append(Finding("certificate", NOTE, text or NO_CLAIM_OF_SWITCHING))
     try:
-        again = replay(log, recorded, own, controller)
+        again, physics = replay(log, recorded, own, controller)
     except WRONG as error:
         findings.append(Finding("responses", MISSING, f"the run cannot be made again: {error}"))
         return Inspected(recorded, tuple(findings), None)
-    findings += _findings("responses", lambda: claims.check_responses(recorded, again))
-    findings += _findings("claims", lambda: claims.check_claims(recorded, again))
-    findings += _findings("result", lambda: claims.check_result(log, recorded, again.run))
+    findings += _findings("responses", _check_responses(recorded, again, physics))
+    findings += _findings("claims", _check_claims(recorded, again))
+    findings += _findings("result", _check_result(log, recorded, again))
     return Inspected(recorded, tuple(findings), again)
 
 
-def _findings(part: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
+def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
     """Returns the findings of a check; an error that stops it is one, too."""
-    findings: list[Finding] = []
     try:
-        findings.extend(check())
+        return list(check)
     except WRONG as error:
-        findings.append(Finding(part, FAILS, str(error)))
-    return findings
+        return [Finding(part, FAILS, str(error))]
+
+
+def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float) -> Iterator[Finding]:
+    """Checks the certificate from the law and its proof, and the norm of the loop as implemented.
+
+    Args:
+        h: timestep of the run [s].
+    """
+    certificate, record = controller.certificate, recorded.claim("certificate")
+    norm = norm_if_implemented(vehicle, controller, h)
+    wrong = [*false_claims(record, certificate), *false_norm(record, vehicle, lambda: norm)]
+    judged = certificate.failures if controller.designed or certificate.bound is not None else ()
+    wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
+    peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
+    if not (certificate.peaks_at(float(peak)) if there and peak is not None else peak is None and not there):
+        wrong.append("its peak frequency is not what was claimed")
+    said = np.array(recorded.claim("poles"), dtype=float).reshape(len(certificate.poles), 2)
+    far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
+    if not far <= SAME * np.abs(certificate.poles).max():
+        wrong.append("its poles are not those claimed")
+    for text in wrong:
+        yield Finding("certificate", FAILS, text)
+    if wrong:
+        return
+    sampled = f", sampled norm {norm.value:.7g}" if norm is not None and norm.stable else ""
+    if not certificate.stable:
+        without = notes_on_sampled_loop(vehicle, certificate, norm)
+        yield Finding("certificate", HOLDS, f"{(*without, certificate.stability.words)[0]}; as was claimed{sampled}")
+        return
+    bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
+    below = f", lower bound {certificate.lower_bound:.7g}" if certificate.lower_bound is not None else ""
+    at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
+    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}{sampled}")
+
+
+def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
+    """Compares the logged responses with the new ones: MuJoCo's, the sampled and the continuous one, road included."""
+    states, end = kept(run.controller), run.broke_off[1] if run.broke_off else math.inf
+    new = {MUJOCO: physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
+    new = {topic: response for topic, response in new.items() if topic == MUJOCO or not np.isnan(response.values).all()}
+    wrong, worst = [], 0.0
+    for topic, response in new.items():
+        logged = as_response(run.vehicle, recorded, topic, run.prediction.timestep, states)
+        logged = logged.only([name for name in logged.names if name in response.names])
+        until = end if topic == MUJOCO else math.inf
+        if len(logged.time) != len(response.time):
+            yield Finding("responses", MISSING, f"{topic} has {len(logged.time)} samples of {len(response.time)}")
+            return
+        far, signal = largest_difference(logged.until(until), response.until(until))
+        worst = max(worst, far)
+        if not far <= (REPLAYED if topic == MUJOCO else ROUNDING):
+            wrong.append(f"{signal} of the {topic} response is {far:.1e} of its peak off")
+    for text in wrong:
+        yield Finding("responses", FAILS, text)
+    if not wrong:
+        how = f"to {worst:.0e} of a peak" if worst else "bit for bit"
+        yield Finding("responses", HOLDS, f"MuJoCo's, sampled and continuous come out as they were logged, {how}")
+
+
+def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
+    """Compares the claims of a run with those that its replay makes."""
+    claims, _ = claims_of(run)
+    now = json.loads(json.dumps({key: value for key, value in claims.items() if key not in OF_CERTIFICATE}))
+    logged = {
+        key: text if isinstance(now.get(key), str) else json.loads(text)
+        for key, text in recorded.claims.items()
+        if key not in OF_CERTIFICATE
+    }
+    holds = [*verdict_lines(run), *energy_lines(run)]
+    yield from _compared("claims", "the log", logged, now, "claims", holds)
+
+
+def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
+    """Compares this run in the attached result of the command, if the result is of the logged runs alone."""
+    result, command = json.loads(log.attachments["result.json"]), log.metadata.get("command", "")
+    if command not in WHOLE:
+        yield Finding("result", NOTE, "result.json needs more runs than the log has; it is not computed again")
+        return
+    names = [f"{one['controller']['name']}{logged_variant(one.get('without', ''))}" for one in result.get("runs", [])]
+    mine = [one for one, name in zip(result.get("runs", []), names, strict=True) if name == recorded.name]
+    if len(mine) != 1:
+        yield Finding("result", FAILS, "result.json does not have this run once")
+        return
+    if command == "drive" and result.get("definitions") != DEFINITIONS:
+        yield Finding(
+            "result", MISSING, "its metrics are of other definitions; the version that wrote the log computes them again"
+        )
+        return
+    now = run_object(run) | {"half_step": half_step_object(run)}
+    now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
+    said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED)}
+    said |= {"road": result.get("road"), "timestep": result.get("timestep")}
+    if command == "drive":
+        from sim.studies.ride.run_metrics import measure_run, metrics_object
+
+        h, end = log.timestep, result.get("measured_until")
+        samples = round(result["measured_from"] / h), None if end is None else round(end / h) + 1
+        now |= metrics_object(run, measure_run(run, *samples))
+    now = json.loads(json.dumps(now))
+    holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers as computed again"
+    yield from _compared("result", "result.json", said, now, "numbers of the result", [holds])
+
+
+def _compared(part: str, source: str, said: Any, now: Any, what: str, holds: Sequence[str]) -> Iterator[Finding]:
+    """Compares what a log says with what is computed again: the first difference and how many more, or the lines that hold."""
+    wrong = list(different(said, now))
+    if wrong:
+        more = f" (and {len(wrong) - 1} more {what}, the first of them {wrong[1]})" if len(wrong) > 1 else ""
+        yield Finding(part, FAILS, f"{source} says otherwise: {wrong[0]}{more}")
+        return
+    yield from (Finding(part, HOLDS, text) for text in holds)

@@ -5,14 +5,14 @@ The code of a law in Python is not run: the forces that it requested are in the 
 """
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from models.common.errors import InputError, listing
 from models.kinds.signals import Signal, kept_signals
-from models.laws.linear import MATRICES, LinearLaw, static_law
+from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
@@ -36,20 +36,7 @@ from synth.controller.controller import Controller, Driver, verify_record
 from synth.controller.problem import problem
 
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
-FEWEST = 3  # samples that make a run
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """A logged run, made again.
-
-    Attributes:
-        run: the new run, with its verdict and energy balance.
-        physics: MuJoCo's new response.
-    """
-
-    run: Run
-    physics: Response
+LAW = ("gain", *MATRICES, "sample_period")  # claims
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
@@ -64,13 +51,8 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
     vehicle_type = log.metadata.get("vehicle_type")
     if kinds is None and vehicle_type is not None and vehicle_type not in kind_names():
         raise InputError("it is of a kind that does not ship; give --kinds with the folder of that kind's .py and .xml")
-    if "vehicle.toml" not in log.attachments:
-        raise InputError("vehicle.toml is not attached")
     text = log.attachments["vehicle.toml"].decode("utf-8", errors="replace")
-    vehicle = parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
-    if vehicle_type != vehicle.kind.name:
-        raise InputError(f"vehicle.toml is of a {vehicle.kind.name}, and the log is of a {vehicle_type}")
-    return vehicle
+    return parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
 
 
 def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
@@ -85,42 +67,34 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
-    """Returns the controller of a run, driven by its exported code, which is made anew, if such code drove the run.
-
-    Raises:
-        InputError: it is not a controller of this vehicle, or there is no such code of it.
-    """
-    controller = recorded_law(log, vehicle, run)
-    if "code" not in run.claims:
-        return controller
-    from synth.controller.export.compiled import code_again, driven_by
-
-    return driven_by(controller, code_again(vehicle, controller, run.claim("code")))
-
-
-def recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     """Returns the controller of a run: the vehicle file's, with the law of a design, and every proof, from the log.
 
-    A law in Python is the attached text.
+    A law in Python is the attached text. If exported code drove the run, the code is made again.
 
     Raises:
-        ValueError: it is not a controller of this vehicle, or its proof is malformed.
+        InputError: the vehicle has no such controller, or the proof or code is malformed.
     """
+    controller = _recorded_law(log, vehicle, run)
+    if "code" not in run.claims:
+        return controller
+    from synth.controller.export.compiled import code_again
+
+    return replace(controller, code=code_again(vehicle, controller, run.claim("code")))
+
+
+def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
         raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
     entry = vehicle.controllers.get(name)
     if entry is not None and entry.python is not None:
-        return Programmed(name, entry.measured, entry.python, log.attached(run, "law_file").decode("utf-8", errors="replace"))
+        source = log.attachments[run.claims["law_file"]].decode("utf-8", errors="replace")
+        return Programmed(name, entry.measured, entry.python, source)
     if entry is not None and entry.semi_active is not None:
         return SemiActive(name, entry.semi_active)
-    m = len(vehicle.linear_model.inputs)
-    if entry is None:
-        signals = vehicle.linear_model.states if name == "state" else ()
-        given = static_law(np.zeros((m, 0))) if name == "passive" else None
-    else:
-        signals, given = entry.measured, entry.law
-    law = given or _law(run, m, len(signals))
+    signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
+    given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
+    law = given or law_of({key: run.claim(key) for key in LAW if key in run.claims})
     preview = preview_of({"preview": run.claim("preview")}) if entry is not None and entry.preview else None
     if entry is not None and law.states:
         law = replace(law, anti_windup=entry.anti_windup)
@@ -132,33 +106,34 @@ def recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     return Controller(name, tuple(signals), law, given is None, certificate, hardware=hardware, preview=preview)
 
 
-def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> Replay:
+def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> tuple[Run, Response]:
     """Makes a run again: predicts it by linear analysis, and runs MuJoCo. A law in Python applies the forces in the log.
 
     Args:
-        vehicle: its vehicle, see `implemented`.
-        controller: its controller, see `recorded_controller`.
+        vehicle: vehicle of the run, see `implemented`.
+        controller: controller of the run, see `recorded_controller`.
+
+    Returns:
+        The new run with its verdict and energy balance, and MuJoCo's new response.
 
     Raises:
         InputError: the road or the timestep is wrong, or responses or forces are not in the log.
     """
-    timestep, logged = log.timestep, run.responses.get(MUJOCO)
-    if logged is None or len(logged.times) < FEWEST:
-        raise InputError("the log has no samples of MuJoCo's response")
-    time = np.arange(len(logged.times)) * timestep
-    if not np.array_equal(np.round(time * 1e9), logged.times):
+    timestep, times = log.timestep, run.responses[MUJOCO].times
+    time = np.arange(len(times)) * timestep
+    if not np.array_equal(np.round(time * 1e9), times):
         raise InputError(f"its samples are not {timestep:g} s apart from 0 on")
-    points = log.attached(run, "road_file") if "road_file" in run.claims else None
+    points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
     road = RoadInput(vehicle, described_road(run.claim("road"), points), time)
     driver: RunDriver = controller
     if isinstance(controller, Programmed):
-        forces = read_forces(log.attached(run, "forces_file"), command_names(vehicle), len(time))
+        forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
     made = simulate([driver], [road])
     prediction = predicted(controller, road, made.requested_force[0], MOST_STATES)
     prediction = replace(prediction, replayed=isinstance(controller, Programmed))
-    (compared,) = with_energy_balance(compare_runs([prediction], made), made)
-    return Replay(compared, made.run(0))
+    (again,) = with_energy_balance(compare_runs([prediction], made), made)
+    return again, made.run(0)
 
 
 def kept(controller: Driver) -> tuple[Signal, ...]:
@@ -170,25 +145,12 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
     """Returns a logged response with the vehicle's signals, in their order, and those of its controller's states.
 
     Raises:
-        InputError: it is not in the log, or has other signals.
+        InputError: the response is not in the log, or has other signals.
     """
-    logged = run.responses.get(name)
-    if logged is None:
-        raise InputError(f"the {name} response is missing")
-    signals = vehicle.kind.signals
+    logged, signals = run.responses[name], vehicle.kind.signals
     if len(logged.names) != len(signals):
         signals = (*signals, *states)
     if {*logged.names} != {signal.name for signal in signals}:
         raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {listing(s.name for s in signals)}")
     columns = [logged.names.index(signal.name) for signal in signals]
     return Response(np.arange(len(logged.times)) * timestep, signals, logged.values[:, columns])
-
-
-def _law(run: RecordedRun, m: int, q: int) -> LinearLaw:
-    """Returns the law that a run records: a gain, or the matrices of one with states."""
-    if "A" not in run.claims:
-        return static_law(np.array(run.claim("gain"), dtype=float).reshape(m, q))
-    k = len(run.claim("A"))
-    shapes = zip(MATRICES, ((k, k), (k, q), (m, k), (m, q)), strict=True)
-    period = run.claim("sample_period") if "sample_period" in run.claims else None
-    return LinearLaw(*(np.array(run.claim(name), dtype=float).reshape(shape) for name, shape in shapes), sample_period=period)

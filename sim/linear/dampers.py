@@ -62,7 +62,7 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 
     Args:
         states: states of the vehicle, shape (T, n).
-        inputs: acting forces [N], shape (T, m).
+        inputs: forces that act [N], shape (T, m).
     """
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     closing = of.at_rest - states @ stretching(vehicle).T

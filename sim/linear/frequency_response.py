@@ -291,7 +291,7 @@ class WorstSinusoid:
 
     Attributes:
         gain: ||z|| / ||w||. The H-infinity norm with one wheel, a lower bound on it with more: all wheels follow one road.
-        omega: its frequency [rad/s].
+        omega: frequency of the sinusoid [rad/s].
     """
 
     gain: float

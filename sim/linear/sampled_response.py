@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
 LENGTHS = ("m", "rad")
 NODES = 8  # of the quadrature over a step
-WHOLE = 1e-9  # relative: a preview this near to a whole number of steps is one
+WHOLE = 1e-9  # relative: a preview this near to an integer of steps is one
 RATES = 400  # number of frequencies at which a law's gain is evaluated
 
 
@@ -115,7 +115,7 @@ def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Ar
     """Returns the response of the sampled loop, from rest.
 
     Args:
-        loop: at the timestep of the road's samples.
+        loop: loop at the timestep of the road's samples.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     return sampled_responses(loop, [road], exponential).run(0)

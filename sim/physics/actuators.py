@@ -64,7 +64,7 @@ class Actuators:
         """Returns the commands of some of the runs, shape (d, size).
 
         Args:
-            requested: what their driver requests, see `sim.physics.driver.Driver`.
+            requested: requests of their driver, see `sim.physics.driver.Driver`.
             closing: closing velocities [m/s], shape (d, m) or (d, 0).
             which: indices of the runs.
         """

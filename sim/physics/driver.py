@@ -103,13 +103,14 @@ class LinearDriver:
     def __init__(self, controllers: Sequence[Controller], ahead: Array | None = None) -> None:
         """Takes N controllers, and their forces from the road ahead at every timestep [N], shape (T, N, m), or None."""
         self._controllers, self._ahead = controllers, ahead
-        self.measured = tuple(dict.fromkeys(name for one in controllers for name in one.measured))
+        self.measured = tuple({name for one in controllers for name in one.measured})
         self._windup: Array | None = None
         self._range: CoefficientRange | None = None
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
         """See `Driver.start`."""
-        first, signals = vehicles[0], self.measured
+        first = vehicles[0]
+        signals = self.measured = tuple(name for name in first.linear_model.outputs if name in self.measured)
         period = steps_per_sample(first.implementation, timestep) * timestep
         laws = {id(one): one.law.sampled(period) for one in self._controllers}
         m, k = len(first.linear_model.inputs), max(law.states for law in laws.values())
@@ -137,7 +138,9 @@ class LinearDriver:
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         """See `Driver.step`."""
         m, q = self._forces, self._gain.shape[2]
-        computed = np.matvec(self._gain, y[:, :q])
+        computed = np.zeros(self._gain.shape[:2])
+        for j in range(q):  # term by term: zeros for the measurements of other controllers do not change the rounding
+            computed += self._gain[:, :, j] * y[:, j : j + 1]
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]

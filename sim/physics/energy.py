@@ -224,7 +224,7 @@ class _FittedForces:
 
         Args:
             starts, ends: sensors of `_look` at the starts of T steps, and at the ends of the first T - 1.
-            road: its velocities are held over the steps.
+            road: road whose velocities are held over the steps.
         """
         if not self.wheels:
             return 0.0, 0.0
@@ -271,8 +271,8 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
     Args:
         response: signals at T samples.
         speeds: velocities of the suspensions at the samples [m/s], shape (T, m).
-        middle: their velocities in the middle of the steps, shape (T - 1, m).
-        work: receives the works [J].
+        middle: velocities of the dampers in the middle of the steps, shape (T - 1, m).
+        work: array that receives the work of each damper [J].
     """
     h, least = float(response.time[1]), np.inf
     for adjustable in vehicle.adjustable:
@@ -371,7 +371,7 @@ def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Arra
 
     Args:
         forces: forces of physics at the samples [N], shape (T, m).
-        requested: see `PhysicsRuns`.
+        requested: forces requested by the controller, see `PhysicsRuns`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
     if limits.actuator_force is None:

@@ -144,9 +144,8 @@ def in_blocks(course: BatchInputs) -> Iterator[Block]:
 def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
-    A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
-    run's few signals are taken one by one, never by a product of matrices whose order of summation depends on how many runs there
-    are.
+    The numbers of a run are the same bit for bit, whatever runs of its controller are beside it, and however they are shared or
+    cut into blocks: no product of matrices has an order of summation that depends on the number of runs.
 
     Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
     on a busy machine for each other.

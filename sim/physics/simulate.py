@@ -91,7 +91,7 @@ class Commanded:
 def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
-    A run's numbers do not depend, to the last bit, on other runs of its controller.
+    The numbers of a run are the same bit for bit, whatever other runs of its controller are beside it.
 
     Args:
         controllers: N controllers.

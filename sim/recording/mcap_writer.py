@@ -6,7 +6,7 @@ responses, without generated code; a field has the name of its signal.
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 
@@ -26,15 +26,8 @@ from sim.response.response import Response
 PACKAGE = "roadproof"
 
 
-@dataclass(frozen=True, eq=False)
-class LoggedChannel:
-    """A channel of a log: its topic, schema (name, encoding, data), descriptions of its fields, and messages with times [ns]."""
-
-    topic: str
-    schema: tuple[str, str, bytes]
-    metadata: Mapping[str, str]
-    times: Sequence[int]
-    contents: Iterable[bytes]
+Schema = tuple[str, str, bytes]  # name, encoding, data
+Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]  # topic, schema, metadata, times [ns] and messages
 
 
 def write_mcap(
@@ -61,20 +54,19 @@ def write_mcap(
             writer.add_metadata(name, dict(record))
         for name, (media_type, content) in attachments.items():
             writer.add_attachment(0, 0, name, media_type, content)
-        schemas: dict[tuple[str, str, bytes], int] = {}
+        schemas: dict[Schema, int] = {}
         messages: list[tuple[int, int, bytes]] = []
-        for channel in channels(runs):
-            if channel.schema not in schemas:
-                schemas[channel.schema] = writer.register_schema(*channel.schema)
-            schema, encoding = schemas[channel.schema], MessageEncoding.Protobuf
-            number = writer.register_channel(channel.topic, encoding, schema, dict(channel.metadata))
-            messages += [(time, number, content) for time, content in zip(channel.times, channel.contents, strict=True)]
+        for name, schema, described, times, contents in channels(runs):
+            if schema not in schemas:
+                schemas[schema] = writer.register_schema(*schema)
+            number = writer.register_channel(name, MessageEncoding.Protobuf, schemas[schema], described)
+            messages += [(time, number, content) for time, content in zip(times, contents, strict=True)]
         for time, number, content in sorted(messages, key=itemgetter(0)):  # players stream a file from front to back
             writer.add_message(number, time, content, time)
         writer.finish()
 
 
-def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
+def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields every channel of a log, in order.
 
     Each response has a topic, `/mujoco` for a single run and `/I/mujoco` for one of several: a message per sample, a double per
@@ -89,15 +81,14 @@ def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
         for name, response in responses.items():
             kind = "<f4" if name == "difference" else "<f8"
             number = numbers.setdefault(response.signals, len(numbers) + 1)
-            yield LoggedChannel(
+            yield (
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, kind),
                 {signal.name: _described(signal) for signal in response.signals},
                 _nanoseconds(response.time),
                 _encoded(response, kind),
             )
-    # A panel of events has its topic even if nothing happened.
-    yield from (channel for channel in _published(runs) if channel.times or channel.topic.endswith("/events"))
+    yield from _published(runs)
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
@@ -115,7 +106,7 @@ def _described(signal: Signal) -> str:
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
 
-def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> tuple[str, str, bytes]:
+def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Schema:
     """Returns the schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
@@ -161,7 +152,7 @@ def _varint(value: int) -> bytes:
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
-def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
+def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields the channels with published schemas: events and the scene."""
     from sim.recording import foxglove_scene as scene
 
@@ -180,12 +171,13 @@ def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
             ("scene", scene.SceneUpdate, times, scene.moving(run, times, largest)),
         ):
             contents = (message.SerializeToString() for message in messages)
-            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, contents)
+            if when or name == "events":  # a panel of events has its topic even if nothing happened
+                yield topic(runs, run, name), _published_schema(kind), {}, when, contents
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
 
 
-def _published_schema(kind: type) -> tuple[str, str, bytes]:
+def _published_schema(kind: type) -> Schema:
     """Returns the schema of a message type, including those of its fields."""
     from mcap_protobuf.schema import build_file_descriptor_set
 

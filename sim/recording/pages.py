@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from models.common.arrays import Array
 from models.figures.figure import OTHERS, STYLES, styles, tint
 from models.kinds.signals import Signal, is_kept
 from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog, shown
+from sim.response.response import Response
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
@@ -21,6 +23,7 @@ GROUPED = 8  # signals that need no groups
 MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log
 CONTROLLER = "controller"  # page of these states
 SEEN = 6  # plots on one page; more would be too flat to read
+GAP = "difference"  # topic of differences
 DIFFERENCE = "difference: MuJoCo - sampled, of each signal's peak"
 
 
@@ -34,6 +37,17 @@ class Curve:
     label: str
     color: str
     width: float = 1.5
+
+    @property
+    def response(self) -> Response:
+        """The response that has the signal."""
+        gap = {} if self.run.gap is None else {GAP: self.run.gap}
+        return {**self.run.responses, **self.run.acting, **gap}[self.topic]
+
+    @property
+    def values(self) -> Array:
+        """The signal's values."""
+        return self.response[self.signal]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +126,7 @@ def run_pages(run: RunLog, color: str) -> list[Page]:
 def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
     """Returns MuJoCo minus sampled of some signals, without those that have no difference."""
     names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
-    return tuple(
-        Curve(run, "difference", name, name.replace("_", " "), PALETTE[i % len(PALETTE)]) for i, name in enumerate(names)
-    )
+    return tuple(Curve(run, GAP, name, name.replace("_", " "), PALETTE[i % len(PALETTE)]) for i, name in enumerate(names))
 
 
 def compared_pages(runs: Sequence[RunLog]) -> list[Page]:

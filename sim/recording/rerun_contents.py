@@ -9,7 +9,7 @@ import rerun as rr
 
 from models.common.arrays import Array
 from models.figures.figure import rgb, tint
-from sim.recording.pages import differences, groups, look, plotted
+from sim.recording.pages import Curve, differences, groups, look, plotted
 from sim.recording.run_log import DAMPERS, LOADS, RunLog, shown
 from sim.recording.scene import (
     FORCE,
@@ -54,71 +54,57 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
-def line(label: str, color: str, width: float) -> rr.SeriesLines:
-    """Returns the style of a curve whose peaks stay visible: Rerun by default averages the samples within a pixel."""
-    return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
-
-
 AFTER_END = 0.04  # of a run's duration: a plot over time ends with its data, and would cut its last label
 
 
-def _log_end(recording: rr.RecordingStream, path: str, time: Array, width: int = 1) -> None:
-    """Logs NaN shortly after the end of a series of some width, so that its plot extends to the end."""
-    after = time_index(time[-1:] + AFTER_END * time[-1:])
-    recording.send_columns(path, after, rr.Scalars.columns(scalars=np.full(width, np.nan)).partition([width]))
+def lines(curves: Sequence[Curve]) -> rr.SeriesLines:
+    """Returns the style of curves whose peaks stay visible: Rerun by default averages the samples within a pixel."""
+    return rr.SeriesLines(
+        names=[curve.label for curve in curves],
+        colors=[rgb(curve.color) for curve in curves],
+        widths=[curve.width for curve in curves],
+        aggregation_policy="MinMax",
+    )
+
+
+def curve_path(curve: Curve) -> str:
+    """Returns the entity of a curve over time."""
+    parts = ("acting", LOADS, curve.signal) if curve.topic == LOADS else ("signals", curve.signal, curve.topic)
+    return entity(curve.run.name, *parts)
+
+
+def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve], ended: bool = True) -> None:
+    """Logs curves of one response at a path; with NaN shortly after the end, so that a plot of them extends to it."""
+    time, values = curves[0].response.time, np.stack([curve.values for curve in curves], axis=-1)
+    after = time[-1:] + AFTER_END * time[-1:] if ended else time[:0]
+    values = np.concatenate([values, np.full((len(after), len(curves)), np.nan)])
+    columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(curves)] * len(values))
+    recording.log(path, lines(curves), static=True)
+    recording.send_columns(path, time_index(np.concatenate([time, after])), columns)
 
 
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Logs every response of a run at `signals/<signal>/<response>`, in tints of its colour, and the end of the shown one."""
+    """Logs all that is plotted: responses, differences, loads, and drawings of the diagrams.
+
+    A response is at `signals/<signal>/<response>`, in a tint of the run's colour; MuJoCo minus sampled, over each signal's peak,
+    at `difference/<group>`; loads over time are at `acting/loads/<load>`, and diagrams at `acting/diagrams/<force>`.
+    """
     for name, response in run.responses.items():
-        index = time_index(response.time)
         label, white, width = look(name)
         for signal in response.signals:
-            path = entity(run.name, "signals", signal.name, name)
-            recording.log(path, line(label, tint(color, white), width), static=True)
-            recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
-            if name == shown(run):
-                _log_end(recording, path, response.time)
-
-
-def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
-    """Logs MuJoCo minus sampled, over each signal's peak, at `difference/<group>`: a series for each signal of the group."""
-    gap = run.gap
-    if gap is None:
-        return
+            curve = Curve(run, name, signal.name, label, tint(color, white), width)
+            _log_curves(recording, curve_path(curve), [curve], name == shown(run))
     for name, group in groups(plotted(run)).items():
-        curves = differences(run, group)
-        if not curves:
-            continue
-        path = entity(run.name, "difference", name)
-        looks = rr.SeriesLines(
-            names=[curve.label for curve in curves],
-            colors=[rgb(curve.color) for curve in curves],
-            widths=[curve.width for curve in curves],
-            aggregation_policy="MinMax",
-        )
-        recording.log(path, looks, static=True)
-        values = np.stack([gap[curve.signal] for curve in curves], axis=-1)
-        columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(curves)] * len(values))
-        recording.send_columns(path, time_index(gap.time), columns)
-        _log_end(recording, path, gap.time, len(curves))
-
-
-def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Logs loads over time at `acting/loads/<load>`, and drawings of the diagrams at `acting/diagrams/<force>`."""
-    if LOADS in run.acting:
-        loads = run.acting[LOADS]
-        for signal in loads.signals:
-            path = entity(run.name, "acting", LOADS, signal.name)
-            recording.log(path, line(f"{signal.name.replace('_', ' ')} [{signal.unit}]", color, 1.5), static=True)
-            recording.send_columns(path, time_index(loads.time), rr.Scalars.columns(scalars=loads[signal.name]))
-            _log_end(recording, path, loads.time)
-    if DAMPERS not in run.acting:
-        return
-    pulled = run.acting[DAMPERS]
-    pulled = pulled.until(pulled.diverged)
-    for one in run.diagrams:
-        _log_diagram(recording, entity(run.name, "acting", "diagrams", one.pull.name), one, pulled, color)
+        if curves := differences(run, group):
+            _log_curves(recording, entity(run.name, "difference", name), curves)
+    for signal in run.acting[LOADS].signals if LOADS in run.acting else ():
+        curve = Curve(run, LOADS, signal.name, f"{signal.name.replace('_', ' ')} [{signal.unit}]", color)
+        _log_curves(recording, curve_path(curve), [curve])
+    if DAMPERS in run.acting:
+        pulled = run.acting[DAMPERS]
+        for one in run.diagrams:
+            path = entity(run.name, "acting", "diagrams", one.pull.name)
+            _log_diagram(recording, path, one, pulled.until(pulled.diverged), color)
 
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:

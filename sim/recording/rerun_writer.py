@@ -16,15 +16,14 @@ import rerun.blueprint as rrb
 import rerun.chunk
 
 from models.common.arrays import Array
-from sim.recording.pages import DIFFERENCE, Curve, Page, Plot, colour_of, compared_pages, run_pages
+from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, compared_pages, run_pages
 from sim.recording.rerun_contents import (
     TIMELINE,
     certificates,
+    curve_path,
     entity,
-    line,
+    lines,
     listed,
-    log_acting,
-    log_difference,
     log_events,
     log_properties,
     log_scene,
@@ -99,7 +98,7 @@ def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
     if worst and np.isfinite(peaks[worst]):
         title += f"; largest {peaks[worst]:.1e}, {worst}"
     origin = entity(run.name, "difference", page.group)
-    gap = _series(title, [_values(curve) for curve in page.difference], origin=origin)
+    gap = _series(title, [curve.values for curve in page.difference], origin=origin)
     return rrb.Vertical(grid, gap, row_shares=[4, 1], name=page.title)
 
 
@@ -113,9 +112,9 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
             visual_bounds=rrb.VisualBounds2D(x_range=(-1.1, 1.1), y_range=(-1.1, 1.1)),
             background=rrb.Background(color=PAPER),
         )
-    curves = [_values(curve) for curve in plot.curves]
+    curves = [curve.values for curve in plot.curves]
     title = "   ".join(filter(None, [plot.title, extremes_text(curves)]))
-    paths = {_path(curve): line(curve.label, curve.color, curve.width) for curve in plot.curves}
+    paths = {curve_path(curve): lines([curve]) for curve in plot.curves}
     signal = plot.curves[0].signal
     happened = [entity(run.name, "signals", signal, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
     # Of several runs, the plot with the legend has no events, whose markers would need as many entries as the controllers.
@@ -133,19 +132,6 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
         background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
         **contents,
     )
-
-
-def _path(curve: Curve) -> str:
-    """Returns the entity of a curve."""
-    parts = ("acting", LOADS, curve.signal) if curve.topic == LOADS else ("signals", curve.signal, curve.topic)
-    return entity(curve.run.name, *parts)
-
-
-def _values(curve: Curve) -> Array:
-    run = curve.run
-    response = run.gap if curve.topic == "difference" else run.acting.get(curve.topic, run.responses.get(curve.topic))
-    assert response is not None, "a page has curves of the run's responses alone"
-    return response[curve.signal]
 
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
@@ -233,8 +219,6 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
             log_properties(recording, f"run {run.name}", run.metadata)
             log_text(recording, entity(run.name, "summary"), run.summary + "\n\n---\n\n" + listed(run.metadata))
             log_signals(recording, run, color)
-            log_difference(recording, run)
-            log_acting(recording, run, color)
             log_events(recording, run)
             log_scene(recording, run, largest)
     finally:

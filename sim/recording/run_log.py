@@ -34,7 +34,7 @@ class RunLog:
         metadata: claims about the run, as text by key; structured values as JSON.
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
-        scene: its drawing.
+        scene: drawing of the vehicle.
         verdict: result of the comparison, in a few words; empty if nothing was compared.
         files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
         acting: other forces by topic: loads on the body, and forces of dampers and springs.

@@ -178,7 +178,7 @@ def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dic
 
     Args:
         command_line: `python -m sim.COMMAND ...`, which repeats the runs.
-        timestep: [s].
+        timestep: timestep of the physics [s].
     """
     return {
         "format": str(FORMAT),
@@ -217,10 +217,10 @@ def record_runs(
     """Records the runs of a command by `sim.recording.files.record`.
 
     Args:
-        command_line: see `common_metadata`.
-        controllers: their names, for the name of the log.
+        command_line: command line, see `common_metadata`.
+        controllers: names of the controllers, for the name of the log.
         runs: runs by name in the log.
-        result: as `--json` prints it.
+        result: result for `--json`.
 
     Returns:
         Paths of the files, as of `sim.recording.files.record`.
@@ -298,8 +298,8 @@ def run_log(run: Run, name: RunName) -> RunLog:
     """Returns the data of a run to be recorded, for `sim.record`.
 
     Args:
-        run: computed by MuJoCo, not read from a log.
-        name: of the run in the log.
+        run: run from MuJoCo, not from a log.
+        name: name of the run in the log.
 
     Raises:
         InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.

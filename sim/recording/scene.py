@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from models.common.arrays import Array
@@ -10,14 +11,9 @@ from models.common.arrays import Array
 
 def rotation_matrix(quaternion: Array) -> Array:
     """Returns the rotation of a quaternion (w, x, y, z), of any length but 0, as a matrix, shape (3, 3)."""
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion[[1, 2, 3, 0]])).tolist()
-    return np.array(
-        [
-            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
-        ]
-    )
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))  # pyright: ignore[reportAttributeAccessIssue] - no stubs
+    return matrix.reshape(3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +73,7 @@ class Tyre:
         name: unique within its body.
         body: the body that carries it, with the hub at its origin.
         radius: undeformed radius [m].
-        half_width: [m].
+        half_width: half of the tyre's width [m].
         middle: middle of its width along the axle, y of the body's frame [m].
         height: height of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the ground.
         rgba: colour, 0 to 1, shape (4,).
@@ -102,7 +98,7 @@ class Track:
     """A road's profile along one track, which moves towards the vehicle.
 
     Attributes:
-        name: unique.
+        name: name of the track, unique.
         middle: middle of its width, along y [m].
         position: ascending positions of its points along x at time 0 [m], shape (N,).
         height: heights of the points [m], shape (N,).

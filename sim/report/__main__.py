@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 
 EPILOG = """
-exit code: 0 the report is written, 1 without a controller that cannot be designed, 2 bad input; with --gallery 1 if a number is
-not reproduced
+exit code: 0 the report is written; 1 it omits a controller that cannot be designed, or a number of --gallery is not reproduced;
+2 invalid input
 
 examples:
   python -m sim.report --out report.html
@@ -171,7 +171,7 @@ def _reported(
     pool: "WorkerPool",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
-    """A report whose page is written, with its figures where they are asked for."""
+    """A report whose page is written, with its figures if they are requested."""
     from models.common.errors import InputError
     from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import report, stages
@@ -189,7 +189,7 @@ def _reported(
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
-        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or leave --{given[0]} out")
+        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or omit --{given[0]}")
     if options.front is not None:
         from sim.report.front import check_front
 
@@ -241,7 +241,7 @@ def _gallery(options: argparse.Namespace) -> int:
         if getattr(options, of)
     } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
-        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
+        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; omit one of them")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
@@ -277,7 +277,7 @@ def _about(source: str) -> dict[str, str]:
 
 
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
-    """Writes a page, with its figures where they are asked for: all of it, or nothing."""
+    """Writes a page, with its figures if they are requested: all of it, or nothing."""
     from models.common.files import made_folder, together
     from models.figures.page import write_page
 
@@ -293,28 +293,28 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
 
 
 def _parser() -> Parser:
-    parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle(
-        "default: all but printed copies of others, as I_printed is of I", several="a page for each, and one table"
+    parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
+    parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
+    parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="page (default: report-VEHICLE.html, report-gallery.html)")
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
-    parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
-    parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
+    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: seconds instead of a minute")
     parser.add_argument(
         "--front",
         metavar="AXES",
-        help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
-        "MuJoCo's values at some of its designs; takes half a minute more",
+        help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
+        "MuJoCo runs of some designs; takes half a minute more",
     )
-    add_exported(parser, "also what this folder of python -m synth --export holds, and what its code does")
+    add_exported(parser, "add the exported code in this folder of python -m synth --export, and its effect")
     add_road(parser, "none")
-    parser.add_number("--duration", 20.0, "s", "how long to drive over the road")
-    add_loads(parser, "also what this load does on a flat road; with --road or --class it acts there, too")
+    parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
+    add_loads(parser, "add a load on a flat road; with --road or --class it acts there, too")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every statement of the page, too")
-    printed.add_argument("--brief", action="store_true", help="print only what is written and which controller is best at what")
+    printed.add_argument("-v", "--verbose", action="store_true", help="also print every statement of the page")
+    printed.add_argument("--brief", action="store_true", help="print only the written files and the comparison of controllers")
     printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

@@ -70,9 +70,9 @@ def lead(standings: Sequence[Standing], dive: Mapping[str, float], norms: Mappin
     """Returns a sentence for each controller that is best at something: by how much against passive, and what it costs.
 
     Args:
-        dive: under braking, by controller [deg]; empty for a vehicle that cannot pitch.
+        dive: dive angle under braking, by controller [deg]; empty for a vehicle that cannot pitch.
         norms: H-infinity norms of the stable ideal loops.
-        where: on which roads the standings are, in words.
+        where: roads of the standings, in words.
     """
     rows = {one.controller: one for one in standings}
     passive = rows.get(PASSIVE)

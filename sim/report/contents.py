@@ -48,9 +48,9 @@ class Report:
     """A report: its page, and who is best at what.
 
     Attributes:
-        page: all of it.
+        page: whole page.
         compared: the controllers' standings, the passive one first.
-        compared_on: on which roads, in words.
+        compared_on: roads of the comparison, in words.
     """
 
     page: Page
@@ -64,8 +64,8 @@ def report(
     """The whole report.
 
     Args:
-        provenance: where it comes from, in words.
-        begin: begins independent pieces and returns what gives their results, as `WorkerPool.begin` does.
+        provenance: origin of the report, in words.
+        begin: function that begins independent pieces and returns the function for their results, as `WorkerPool.begin` does.
     """
     vehicle, bump, h = scope.vehicle, Bump(), scope.timestep
     results = begin(scope, pieces_of(scope))
@@ -177,9 +177,9 @@ class Frequencies:
     """Results on sinusoids.
 
     Attributes:
-        findings: for the answer.
-        section: on frequency responses, or None without any.
-        workshop: on a workshop's plate, or None in a quick report.
+        findings: findings for the answer.
+        section: section on frequency responses, or None without any.
+        workshop: section on a workshop's plate, or None in a quick report.
     """
 
     findings: list[Statement]
@@ -283,7 +283,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
 
 
 def report_object(report: Report) -> dict[str, Any]:
-    """Answer, tables and standings as JSON has them."""
+    """Answer, tables and standings as in JSON."""
     page = report.page
     tables = {
         table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]

@@ -69,7 +69,7 @@ def design_section(scope: Scope) -> Section:
             (one.name, one.text.partition(" (")[0], one.text.partition(" (")[2].removesuffix(")")) for one in scope.laws
         )
         tables.append(
-            Table("laws", "What the laws are of which nothing is proved.", ("controller", "law", "what it does"), described, 3)
+            Table("laws", "Description of the laws without a proof.", ("controller", "law", "what it does"), described, 3)
         )
     if scope.built_norms:
 
@@ -116,7 +116,7 @@ def _known(scope: Scope) -> str:
 
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
-    """Returns the table of controllers' goals, with the numbers as `python -m synth` has them, or None without goals."""
+    """Returns the table of controllers' goals, with the numbers of `python -m synth`, or None without goals."""
     columns: tuple[Column[tuple[str, Specification]], ...] = (
         Column("controller", lambda of: of[0]),
         Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
@@ -184,9 +184,9 @@ def frequency_section(
     """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps.
 
     Args:
-        scope: what the report is about.
-        sweeps: of the same; none in a quick report.
-        speed: [m/s].
+        scope: subject of the report.
+        sweeps: sweeps of the controllers; none in a quick report.
+        speed: vehicle speed [m/s].
     """
     drawn = sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own)
     figure = replace(drawn, name="frequency-responses")

@@ -1,4 +1,4 @@
-"""The section of a report on a trade-off: the front, the line that nobody crosses, and what MuJoCo measures at some points."""
+"""The section of a report on a trade-off: the front, its proved lower bound, and the values measured in MuJoCo at some points."""
 
 import math
 

@@ -26,7 +26,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
     Args:
         results: every entry with its compared numbers.
-        about: when and how the page was made, by name.
+        about: time and origin of the page, by name.
     """
     wrong = [f"{entry.name}: {one.printed.text} is NOT REPRODUCED" for entry, numbers in results for one in numbers if one.wrong]
     headings = ("source", "what it is", "reproduced", "differ for a reason", "not reproduced", "not expressible")

@@ -220,7 +220,7 @@ def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | N
 
 
 def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Statement]:
-    """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
+    """Returns statements on the bump height at which the linear regime ends, between two MuJoCo runs, if above the paper's."""
     if not ends:
         return []
     wrong, none = unclaimed(ends, runs), unclaimed_words(scope, ends, runs)

@@ -35,11 +35,11 @@ class Ride:
     """Metric of one controller over the roads of one class; numbers are NaN if they do not exist.
 
     Attributes:
-        road_class: of ISO 8608.
-        controller: its name.
-        metric, unit: of the numbers.
-        measured: in MuJoCo, root mean square over the seeds.
-        predicted: from the class' spectrum.
+        road_class: road class of ISO 8608.
+        controller: name of the controller.
+        metric, unit: name and unit of the metric.
+        measured: root mean square over the seeds, measured in MuJoCo.
+        predicted: prediction from the spectrum of the class.
         spread: standard deviation from road to road.
         events: frequency of lift-offs on these roads, in words.
     """
@@ -173,7 +173,7 @@ class OverRoads:
         self.found = meter.result()
 
     def standing(self) -> Standing:
-        """Returns where the controller stands on the roads of the class `AVERAGE`, if none of its runs broke off there."""
+        """Returns the standing of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return standing(self.vehicle, self.controller.name, {})

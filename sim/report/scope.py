@@ -32,7 +32,7 @@ class Exported:
     """A folder of exported code.
 
     Attributes:
-        folder: its path.
+        folder: path of the folder.
         driver: the controller that its code drives.
     """
 
@@ -44,23 +44,23 @@ class Exported:
 class Scope:
     """Subject of a report.
 
-    Two loops are spoken of. The *ideal loop* is continuous, without limits and without a computer: designs and certificates are
-    of it. The loop *as built* has the vehicle file's `[limits]` and `[implementation]`: MuJoCo runs that, step by step.
+    Designs and certificates are for the *ideal loop*, which is continuous and without limits. MuJoCo runs the *implemented loop*
+    with `[limits]` and `[implementation]` of the vehicle file.
 
     Attributes:
         vehicle: the vehicle.
-        designer: its designs.
-        controllers: those that are reported, of which linear analysis speaks.
-        timestep: of the physics [s].
-        quick: without margins, map and ride.
-        progress: is told what is being done.
-        laws: those in Python, and semi-active ones, of which it does not.
+        designer: designer of the controllers.
+        controllers: controllers that are reported and have a linear law.
+        timestep: timestep of the physics [s].
+        quick: True to omit margins, map and ride.
+        progress: callback that receives the name of the present step.
+        laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
-        loads: that are put on the body on a flat road.
+        loads: loads on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
-        own_road: the road that all is driven over in place of the paper's bump; None for that.
-        road_name: its name, as it was given.
-        duration: of the runs over either [s].
+        own_road: the road that all is driven over instead of the paper's bump; None for that.
+        road_name: name of the road as given.
+        duration: duration of the runs over either road [s].
     """
 
     vehicle: Vehicle
@@ -103,7 +103,7 @@ class Scope:
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: Driver) -> bool:
-        """Returns True if a loop is known to be unstable, ideal or as built."""
+        """Returns True if a loop is known to be unstable, ideal or implemented."""
         return isinstance(controller, Controller) and controller not in self.stable
 
     @property
@@ -148,7 +148,7 @@ class Scope:
 
     @property
     def implementation_text(self) -> str:
-        """The loop as built, in words."""
+        """The implemented loop, in words."""
         words = (*self.vehicle.limits.phrases(self.vehicle.kind.suspensions), *self.vehicle.implementation.phrases)
         return ", ".join(words) or "neither [limits] nor [implementation]"
 
@@ -182,7 +182,7 @@ class Scope:
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Returns the controllers whose loop is stable as built, and ideal too unless a computer replaces the ideal loop."""
+        """Returns the controllers with a stable implemented loop, and a stable ideal loop unless a computer replaces it."""
         return [
             one
             for one in self.controllers
@@ -191,7 +191,7 @@ class Scope:
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """The L2 gains of the loops as built, by controller, where the vehicle file makes them differ."""
+        """The L2 gains of the implemented loops, by controller, if the vehicle file makes them differ."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
@@ -233,7 +233,7 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
     """Checks that a vehicle can be reported at this timestep, before any work.
 
     Raises:
-        InputError: the timestep is too coarse, or the controller's sample period is no multiple of it.
+        InputError: the timestep is too coarse, or the controller's sample period is not a multiple of it.
     """
     check(vehicle, (), AMPLITUDE, timestep)
     steps_per_sample(vehicle.implementation, timestep)

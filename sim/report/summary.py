@@ -33,8 +33,8 @@ def first_screen(
 
     Args:
         compared: the controllers' standings, over the roads of `compared_on`.
-        dive: of every controller under braking [deg]; empty for a vehicle that cannot pitch.
-        where: on which roads, in words.
+        dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
+        where: roads of the comparison, in words.
     """
     wanted = requirements_table(scope, runs)
     tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, where))
@@ -141,7 +141,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
 
 
 def _metres(height: tuple[float, float]) -> str:
-    """A height as MuJoCo has it; where that is not the predicted one, this is said."""
+    """Returns a height measured in MuJoCo, with a remark if it is not the predicted one."""
     predicted, measured = height
     return f"{measured:.3g} m" if math.isfinite(measured) else f"NOT as predicted, {predicted:.3g} m"
 

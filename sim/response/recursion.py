@@ -35,7 +35,7 @@ def lagging(commands: Array, z: Array) -> Array:
     """Returns what lags behind commands at the samples, from 0, as RK4 integrates it, shape (T, m).
 
     Args:
-        commands: held from each sample to the next, shape (T, m).
+        commands: commands, held from each sample to the next, shape (T, m).
         z: rate of every lag times the timestep, shape (m,); 0 for none: its command acts at once.
     """
     way = _way(z)
@@ -46,8 +46,8 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
     """Returns what lags behind held commands in the four stages of every step of RK4, shape (T - 1, m) each.
 
     Args:
-        now: its values at the samples, shape (T, m); without a lag the commands.
-        z: see `lagging`.
+        now: values at the samples, shape (T, m); without a lag the commands.
+        z: product of lag and timestep, see `lagging`.
     """
     way, before, gone = _way(z), now[:-1], np.zeros_like(now[:-1])
     change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from models.suspension.fitted_curves import SuspensionCurve
 
 AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
-# m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
+# m; the stiffest tyre, compressed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
 # 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
 MISSED = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
@@ -55,12 +55,12 @@ class End:
     """End of the linear regime.
 
     Attributes:
-        name: in tables, maps and JSON.
+        name: name in tables, maps and JSON.
         happens: the event in words.
         event: name of its first time among a log's events; empty if it is not logged.
         verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
-        color: in a map, on light ground.
-        marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
+        color: colour in a map, on a light background.
+        marker: marker on curves, on a dark background: its shape, as Rerun names it, and a colour that no curve has.
         thresholds: function that returns the thresholds of a vehicle; empty if it has no such limit.
         exact: True if the exact response continues beyond it, and only linearity ends.
     """
@@ -76,7 +76,7 @@ class End:
 
 
 def _flat(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which tyres are squeezed flat."""
+    """Returns thresholds at which tyres are fully compressed."""
     return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
 
@@ -358,7 +358,7 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_wi
     """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
-        factors: also negative, as over a hole; shape (N,).
+        factors: factors on the height, negative for a hole; shape (N,).
         anti_windup: True if the law of the response has anti-windup.
     """
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))

@@ -63,7 +63,7 @@ class Response(Shown):
         """Returns one signal over time, shape (..., T).
 
         Raises:
-            InputError: there is no such signal; the message lists the signals of the response.
+            InputError: the signal does not exist; the message lists the signals of the response.
         """
         return self.values[..., self._column(signal)]
 
@@ -77,7 +77,7 @@ class Response(Shown):
         """Returns one run of many.
 
         Raises:
-            InputError: there is no such run.
+            InputError: the run does not exist.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
             raise InputError(f"index = {index} is not a run of values of shape {self.values.shape}; give one of its first axis")
@@ -107,7 +107,7 @@ class Response(Shown):
 
     @property
     def ran_away(self) -> bool:
-        """Returns True if a single run of physics broke off as the states of its law ran away; see `PhysicsRuns.kept`."""
+        """Returns True if a single run of physics ended because the states of its law diverged; see `PhysicsRuns.kept`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Array:
@@ -177,7 +177,7 @@ def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference of two responses over the sampled one's peak, dimensionless; the verdict takes the largest.
 
     Args:
-        sampled: its exact sampled response, at the same times.
+        sampled: exact sampled response, at the same times.
 
     Returns:
         The vehicle's signals by their names, without those of the road, which are inputs of both.

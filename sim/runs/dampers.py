@@ -21,8 +21,8 @@ class Shortfall:
     Attributes:
         rms: rms of the missing force, over that of the requested one; 0 if no force was requested.
         time: share of the samples with missing force.
-        softest, hardest: its smallest and largest coefficient [N s/m].
-        late: as `rms`, including the lag of its valve, or None if it has no lag.
+        softest, hardest: smallest and largest coefficient of the damper [N s/m].
+        late: shortfall like `rms`, including the lag of the valve, or None if the valve has no lag.
     """
 
     rms: float

@@ -27,7 +27,7 @@ class Line:
     Attributes:
         signal: name in a log of its force at the actual argument.
         label, dash, width: style.
-        force: over its argument [N].
+        force: force over the argument [N].
     """
 
     signal: Signal
@@ -46,7 +46,7 @@ class Diagram:
         over: the argument, in words with the unit.
         argument, pull: signals of the two in a log.
         x: the argument in a response, shape (T,).
-        force: pulling force at those x in the response [N], shape (T,).
+        force: force at those x in the response, positive if it pulls [N], shape (T,).
         lines: the drawn forces over x.
     """
 

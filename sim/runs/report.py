@@ -138,7 +138,7 @@ def _margins_object(run: Run) -> dict[str, Any]:
 
 
 def _stops_object(run: Run) -> dict[str, Any]:
-    """Returns how far each bump stop is squeezed under their own key; empty without stops."""
+    """Returns how far each bump stop is compressed under their own key; empty without stops."""
     if not run.vehicle.limits.stopped:
         return {}
     from sim.runs.stops import stops_object

@@ -305,9 +305,7 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) 
     coded = [i for i, one in enumerate(predictions) if code_of(one.controller) is not None]
     if not coded:
         return predictions
-    from synth.controller.export.compiled import without_code
-
-    ours = [replace(predictions[i], controller=without_code(predictions[i].controller)) for i in coded]
+    ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
     made, whole = simulate([one.controller for one in ours], [one.input for one in ours]), list(predictions)
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until

@@ -1,4 +1,4 @@
-"""Bump stops that a run reaches: how far it squeezes each, with what force, and when."""
+"""Bump stops that a run reaches: compression, force and time of each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Touch:
     """Deepest contact of a suspension with one of its stops.
 
     Attributes:
-        side: one of `SIDES`.
+        side: side of the stop, one of `SIDES`.
         squeeze: travel beyond the stroke [m].
         force: force of the stop [N].
         time: time of that sample [s].

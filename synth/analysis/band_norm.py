@@ -27,8 +27,8 @@ class BandNorm:
     """The largest gain within a band, its frequency and a level that bounds it.
 
     Attributes:
-        value: reached at `peak_frequency`; infinite if a pole lies on the axis within the band.
-        peak_frequency: in the band, edges included [rad/s].
+        value: norm, attained at `peak_frequency`; infinite if a pole is on the axis within the band.
+        peak_frequency: frequency of the peak, in the band, edges included [rad/s].
         level: slightly above the value; no gain within the band exceeds it.
         low: lower edge of the band [rad/s].
         high: upper edge [rad/s]; may be infinite.
@@ -61,9 +61,9 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
     """Returns the largest gain from w to z with u = 0 at any frequency from low to high.
 
     Args:
-        loop: continuous or discrete; a controlled one is `plant.closed_loop(...)`.
+        loop: loop in continuous or discrete time; a controlled one is `plant.closed_loop(...)`.
         low: 0 or more [rad/s].
-        high: above low [rad/s]; may be infinite. The gain of a discrete loop repeats beyond pi / dt.
+        high: upper frequency, above low [rad/s]; may be infinite. The gain of a discrete loop repeats beyond pi / dt.
 
     Raises:
         InputError: the band is empty or out of range.

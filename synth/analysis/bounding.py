@@ -39,8 +39,8 @@ def certify_tightly(
 
     Args:
         G: the gain from measurements (6), or a state gain, shape (m, n).
-        lower_bound: on the norm of any controller of the gain's kind.
-        by_itself: as for `certify`.
+        lower_bound: lower bound on the norm of any controller of the gain's type.
+        by_itself: name for messages, as in `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
     if not plain.stable or not np.isfinite(plain.norm.value):
@@ -102,11 +102,11 @@ def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: fl
     coordinates in which that noise gives the states the covariance I, so that no unit costs digits.
 
     Args:
-        loop: continuous and stable.
-        gamma: above its norm.
+        loop: loop in continuous time, stable.
+        gamma: bound, above the norm.
         more: share of the noise; small against the relative distance of gamma from the norm.
         everywhere: share of the noise that acts on every state, also on those not controllable from w.
-        least_seen: put more of that share on directions that are less observable in z.
+        least_seen: True to assign more of that share to directions that are less observable in z.
 
     Raises:
         LinAlgError: rounding prevents a solution.

@@ -14,7 +14,7 @@ For a discrete closed loop it is
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
 which is not affine in a gain. A design therefore uses a larger matrix, of which this one is the Schur complement. With the plant
-in differences over a step T (`GeneralizedPlant.differences`) and X T in place of X, it is the continuous matrix, bordered:
+in differences over a step T (`GeneralizedPlant.differences`) and X T instead of X, it is the continuous matrix, bordered:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
@@ -320,7 +320,7 @@ def certify(
         G: the gain from measurements (6), taken without rounding; or a state gain, shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
-        lower_bound: on the norm of any controller of the gain's kind.
+        lower_bound: lower bound on the norm of any controller of the gain's type.
         by_itself: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the filter
             states. Default: the plant.
 

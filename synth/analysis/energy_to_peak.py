@@ -34,8 +34,8 @@ class EnergyPeaks:
     Attributes:
         peaks: peak of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
         together: peak of the length of the vector of all signals.
-        bounds: proved bounds on `peaks`, shape (p,).
-        bound_together: proved bound on `together`.
+        bounds: upper bounds on `peaks`, proved, shape (p,).
+        bound_together: upper bound on `together`, proved.
         proof: proof of the Lyapunov inequality.
     """
 
@@ -51,7 +51,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
     """Returns the energy-to-peak norms of s = (C_s + D_s G) x in the loop A + B G, with a proof.
 
     Args:
-        plant: continuous, n states, m inputs.
+        plant: plant in continuous time with n states and m inputs.
         G: the gain, shape (m, n), or one from measurements.
         Cs: shape (p, n).
         Ds: feedthrough from the inputs to the signals, shape (p, m).
@@ -88,7 +88,7 @@ def signals(plant: GeneralizedPlant, Cs: Array, Ds: Array) -> tuple[Array, Array
     """Returns C_s and D_s after checking their shapes (p, n) and (p, m).
 
     Raises:
-        InputError: they do not fit the plant.
+        InputError: the signals do not fit the plant.
     """
     (n, m), C_signals = plant.B.shape, real_matrix(Cs, "Cs", f"(p, {plant.B.shape[0]})")
     through = real_matrix(Ds, "Ds", f"({len(C_signals)}, {m})")

@@ -2,7 +2,7 @@
 
 A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only if there are X > 0 and S > 0 with [X I; I S]
 >= 0. Here X solves the `SynthesisInequality` of the plant, eta = gamma^-2, and S that of the transposed plant (Gahinet, Apkarian
-1994) with a disturbance of weight one and gamma^2 in place of I:
+1994) with a disturbance of weight one and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
@@ -151,7 +151,7 @@ class _Dual:
     """The numbers e, t and V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact; of an antistable part bounds, e from below and t from above.
+        e, t: numbers of the solution, exact; for an antistable part bounds, e from below and t from above.
         V: V_T in floats; near I on the central path.
         lost: bound on the error of each entry of V.
         T: floats that count as exact, shape (a, a).

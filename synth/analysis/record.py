@@ -69,7 +69,7 @@ def read_proof(
     """Returns X and eta for (20), both None if one is absent, and the lower bound that the record proves; with numpy alone.
 
     Args:
-        record: see `to_record`.
+        record: record from `to_record`.
         Cy: measurement matrix, shape (q, n); q may be 0.
         kept: number of controller states, which are in X, too.
         Dyw: feedthrough from w to the measurements, shape (q, r); zero if it is not given.

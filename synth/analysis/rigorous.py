@@ -171,7 +171,7 @@ class Definiteness:
     """The definiteness of a symmetric matrix, scaled to a diagonal between 1/2 and 2.
 
     Attributes:
-        smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive, or an entry is out of range.
+        smallest: smallest eigenvalue as computed; NaN if a diagonal entry is not positive, or an entry is out of range.
         rounding: the smallest eigenvalue that counts as proof.
         proved: True if the matrix is positive definite beyond any rounding.
     """

@@ -177,7 +177,7 @@ class HoldInterval(Checked):
     """A part of the period in which one force is held.
 
     Attributes:
-        duration: [s].
+        duration: duration of the interval [s].
         late: number of samples by which the acting force is delayed.
     """
 
@@ -242,7 +242,7 @@ class SampledLoop(Checked):
             plant: n states, m inputs.
             K: shape (m, q).
             Cy: the measurements, y = C_y x, shape (q, n).
-            sample_period: [s].
+            sample_period: sample period [s].
             delay: delay from a measurement to its force [samples], which may be fractional.
 
         Raises:
@@ -310,7 +310,7 @@ class SampledLoop(Checked):
         return noise[:m], noise[m:]
 
     def entering(self) -> tuple[Array, Array]:
-        """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
+        """Returns the maps of `register` from the noise, instead of the states, shapes (n + i, j) and (N - n, j)."""
         computed, kept = self.heard
         forces = [np.zeros_like(computed) if piece.late else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
@@ -322,7 +322,7 @@ class SampledLoop(Checked):
         """Returns the maps from the noise at zeta = exp(j angle): to [x; held inputs], and to the next controller states.
 
         Args:
-            angles: [rad], shape (F,).
+            angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
             Shapes (F, n + i, j) and (F, k, j).
@@ -346,8 +346,8 @@ class SampledLoop(Checked):
         """Returns the loop at zeta = exp(j angle). A delay is a power of zeta there, so delayed forces need no states.
 
         Args:
-            increment: as for `closed`.
-            angles: [rad], shape (F,).
+            increment: change of the gain, as in `closed`.
+            angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
             zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
@@ -373,7 +373,7 @@ class SampledDataProblem:
     reading is s / sqrt(T) times a sequence whose energy is the sum of its squares.
 
     Attributes:
-        plant: continuous, n states.
+        plant: plant in continuous time with n states.
         Cy: shape (q, n).
         through: feedthrough from the force before a sample to the measurements, shape (q, m).
         pieces: parts of the sample period: two if the delay has a fraction of a period.
@@ -431,7 +431,7 @@ class SampledDataProblem:
         """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
 
         Args:
-            K: [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
+            K: matrix [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
         """
         (n, m), q = self.plant.B.shape, len(self.Cy)
         k, previous = len(K) - m, m if np.any(self.through) else 0

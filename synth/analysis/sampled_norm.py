@@ -52,7 +52,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     """Returns the largest gain of a piecewise polynomial disturbance, a true lower bound of the loop's gain.
 
     Args:
-        loop: stable.
+        loop: loop that is stable.
         angle: phase advance of the disturbance per sample [rad]; NaN for one period alone.
         parts: number of parts of every piece of the period.
     """
@@ -135,7 +135,7 @@ def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
     """Returns the L2 gain of a sampled loop from w, and the noise if it has some, to 1e-8.
 
     Args:
-        loop: stable or not.
+        loop: loop, stable or not.
         near: a positive estimate of the norm.
 
     Example:

@@ -20,7 +20,7 @@ class Specification:
     Attributes:
         what: name of the quantity.
         value: largest known value.
-        proved: proved upper bound; None if the value is exact to rounding.
+        proved: upper bound that is proved; None if the value is exact to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
         unit: unit of all three values.
         where: place where the value occurs, or empty.

@@ -247,7 +247,7 @@ def _inverse_of_triangle(matrix: Array) -> Array:
     """Returns the inverse of an upper triangular complex matrix.
 
     Raises:
-        LinAlgError: it is singular.
+        LinAlgError: the triangle is singular.
     """
     inverse, singular = lapack.ztrtri(matrix)  # pyright: ignore[reportAttributeAccessIssue] - made by f2py, without stubs
     if singular:

@@ -24,7 +24,7 @@ solutions live on the left deflating subspace of the other zeros,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
-and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' in place of U, Q, b, c and X. Floats cannot represent L and
+and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
 Lambda exactly, so they are enclosed (`AntistablePart`), as zeros are in `interpolation.py`. Zeros on the axis to rounding are
 left out: the bound is then weaker, but still true.
 """

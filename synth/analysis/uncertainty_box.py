@@ -86,7 +86,7 @@ class ScaledGain:
     """Loops under the gains S_u K S_y.
 
     Attributes:
-        plant: continuous, n states, m inputs, d controlled outputs, r disturbances.
+        plant: plant in continuous time with n states, m inputs, d controlled outputs and r disturbances.
         K: shape (m, q).
         Cy, Dyw, Dyu: y = C_y x + Dyw w + Dyu u, shapes (q, n), (q, r) and (q, m).
         before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.Mapped`.
@@ -151,7 +151,7 @@ class ScaledGain:
 
 
 def lmi(loops: Loops, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` in place of its -1."""
+    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` instead of its -1."""
     A, Bw, C, Dw = loops
     left = np.concatenate([A @ X, C @ X], axis=-2)
     n, d = A.shape[-1], C.shape[-2]
@@ -220,8 +220,8 @@ class ParameterDependentLyapunov:
     """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
 
     Attributes:
-        X: at every corner, in the order of `Box.vertices`, shape (2^k, n, n).
-        F, G: the same for all corners, shapes (n, n).
+        X: matrices at the corners, in the order of `Box.vertices`, shape (2^k, n, n).
+        F, G: slack matrices, the same for all corners, shapes (n, n).
         gamma: the bound; infinite for stability alone.
     """
 
@@ -278,7 +278,7 @@ class ParameterDependentKYP:
     same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
 
     Attributes:
-        P, Q: at every corner, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
+        P, Q: matrices at the corners, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
         W: shape (n, 2 n + r).
         low, high: the band [rad/s].
         gamma: the bound.
@@ -340,5 +340,5 @@ def _size(M: Array) -> Array:
 
 
 def hermitian(M: Array) -> bool:
-    """Returns True if all matrices of a stack are Hermitian, to the last bit."""
+    """Returns True if all matrices of a stack are Hermitian bit for bit."""
     return np.array_equal(M, M.conj().swapaxes(-1, -2))

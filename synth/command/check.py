@@ -1,4 +1,4 @@
-"""`python -m synth --check` and `--prove`: gains and laws of a vehicle file held against what is claimed, or given a bound."""
+"""`python -m synth --check` and `--prove`: gains and laws of a vehicle file compared with their claims, or given a bound."""
 
 from collections.abc import Sequence
 from dataclasses import replace

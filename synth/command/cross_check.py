@@ -29,7 +29,7 @@ class CrossCheck:
         ours: the optimal gamma by the central path.
         optimum_gap: relative distance of our gain from that optimum.
         theirs: the optimal gamma by Clarabel; None if it failed.
-        attained: the same with our gain fixed; None if it failed.
+        attained: level that is attained with our gain fixed; None if that solution failed.
         said: the solver's status if it did not solve both problems, or empty.
     """
 
@@ -78,8 +78,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     """Clarabel's answer to the problem that a controller comes from, or None for one that comes from none.
 
     Args:
-        controller: as it was designed, not refined.
-        zero_l: whether with L = 0.
+        controller: controller as designed, not refined.
+        zero_l: True for a problem with L = 0.
     """
     bound = controller.certificate.bound
     shared = designer.shared(controller.hardware)

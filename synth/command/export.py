@@ -1,47 +1,70 @@
-"""`python -m synth --export DIR` and `--check DIR`: a controller as C99, and if it still is the one that was certified."""
+"""`python -m synth --export` and `--check DIR`: controllers as a folder of C99, an FMU or a file for MATLAB, and their check."""
 
 import json
 import math
 import subprocess
 import tempfile
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from models.common.command import one_chosen
-from models.common.errors import InputError
-from models.common.files import made_folder
+from models.common.command import ALL, chosen, one_chosen
+from models.common.errors import InputError, listing
+from models.common.files import made_folder, together, whole_file
 from models.common.printed import say
+from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.command.save import SUFFIX, saved_text
-from synth.controller.controller import Controller, Driver, check_feedback_alone
-from synth.controller.export.c_law import c_name, exported_law
+from synth.command.save import SUFFIX, left_out_lines, saved_text
+from synth.controller.controller import Controller, check_feedback_alone
+from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
-from synth.controller.export.folder import VEHICLE, files, read_folder
-from synth.vehicle.designer import Designer
+from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
+from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
+from synth.controller.export.linear_system import loop_system, vehicle_system
+from synth.vehicle.designer import Designer, driver_of
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
-    """Writes the folder of one controller and prints what is in it; returns the exit code.
+    """Writes the folder or the file of --export, and prints what is in it; returns the exit code.
 
     Raises:
-        InputError: there is no such controller, it cannot be exported, or the folder is not empty.
+        InputError: a controller is unknown or cannot be exported so, or the folder or file cannot be written.
     """
-    names = [name for name in vehicle.controller_names if name != "passive"]
-    given = options.controller or []
+    record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
+    if options.json:
+        print(json.dumps(record, allow_nan=False))
+    else:
+        say(lines)
+    return 0
+
+
+def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) -> tuple[str, Vehicle, str]:
+    """Returns the controller of --controller, the vehicle whose file holds its law, and its name in that file."""
+    names, given = [name for name in names if name != "passive"], options.controller or []
     if len(given) > 1:
-        raise InputError(f"--export writes one controller; give --controller with one of: {', '.join(names)}")
-    name, folder = one_chosen(names, given[0] if given else None), options.export
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
-    prefix = c_name(name)
-    saved, own = saved_with_law(vehicle, name)
+        raise InputError(f"{what}; give --controller with one of: {', '.join(names)}")
+    name = one_chosen(names, given[0] if given else None)
+    return name, *_saved_with_law(vehicle, name)
+
+
+def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> tuple[Vehicle, ExportedLaw, dict[str, str]]:
+    """Returns the vehicle of the saved controller, its law, and the texts of its folder."""
+    name, saved, own = _one(vehicle, options, vehicle.controller_names, "--export writes one controller")
     driver = driver_of(saved, own)
-    law = exported_law(saved, driver, options.numbers, prefix, _ranges(options.ranges))
-    texts = files(saved, driver, law)
+    law = exported_law(saved, driver, options.numbers, prefix(c_name(name)), _ranges(options.ranges))
+    return saved, law, files(saved, driver, law)
+
+
+def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
+    """Writes the folder of one controller; returns what is in it for JSON, and in lines."""
+    folder: Path = options.export
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--export {folder}: is there already, and not empty; give another folder, or remove it")
+    _, law, texts = _law(vehicle, options, str)
     with (
         made_folder(folder.parent, "export"),
         tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
@@ -54,22 +77,129 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         if folder.exists():
             folder.rmdir()
         whole.rename(folder)
-    if options.json:
-        found = {"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]}
-        print(json.dumps(found, allow_nan=False))
-        return 0
-    say(
-        [
-            f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
-            *(f"  {path}" for path in texts),
-            "",
-            f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
-        ]
+    return {
+        "folder": str(folder),
+        "name": law.name,
+        "controller": law.controller,
+        "numbers": options.numbers,
+        "files": [*texts],
+    }, [
+        f"controller {law.controller} as C99 in {options.numbers}, with the prefix {law.name}",
+        *(f"  {path}" for path in texts),
+        "",
+        f"written to {folder}; its README.md shows how to call it, and python -m synth --check {folder} if it is changed",
+    ]
+
+
+def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
+    """Writes a file for MATLAB, and a script beside it."""
+    from synth.controller.export.matlab import mat_file, script, struct_names
+
+    if "numbers" in options.given:
+        raise InputError("--numbers is of code, and a file for MATLAB has double numbers; omit it")
+    linear = [name for name in vehicle.linear_names if name != "passive"]
+    own = [name for name in linear if name in vehicle.controllers]
+    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
+    held = [name for name in own if name not in left_out] or own
+    names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
+    other = [name for name in names if name not in linear]
+    if other:
+        raise InputError(f"controller {other[0]!r} has no matrices; a file for MATLAB takes linear ones: {listing(linear)}")
+    if not names:
+        raise InputError(f"{vehicle.source} has no linear controller; a file for MATLAB needs one")
+    designer = Designer(vehicle, search=False)
+    controllers: list[Controller] = [designer.design(name) for name in names]
+    file: Path = options.export
+    beside = file.with_name(f"{c_name(file.stem)}_ss.m")
+    with together():
+        with whole_file(file, "export") as part:
+            part.write_bytes(mat_file(vehicle, controllers))
+        with whole_file(beside, "export") as part:
+            part.write_text(script(file.name, vehicle, controllers), encoding="utf-8", newline="\n")
+    structs = struct_names(controllers)
+    return {"files": [str(file), str(beside)], "structs": structs}, [
+        f"{file}: a struct for each controller, and vehicle with the plant",
+        *(
+            f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
+            f"norm {one.certificate.norm.value:.7g}"
+            for one in controllers
+        ),
+        *left_out_lines(left_out),
+        "",
+        f"{beside} makes ss objects of them in MATLAB",
+    ]
+
+
+def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
+    """Writes an FMU: a controller, the vehicle, or both as one linear system."""
+    from synth.controller.export.fmu import fmu
+
+    if options.part != "controller" and "numbers" in options.given:
+        raise InputError(f"--numbers is of a controller's code, and --part {options.part} is linear equations; omit it")
+    parts = {"controller": _controller, "vehicle": _vehicle, "loop": _loop}
+    model, resources, about = parts[options.part](vehicle, options)
+    with whole_file(options.export, "export") as beside:
+        made = fmu(model, options.fmi, resources, about)
+        beside.write_bytes(made.content)
+    kinds = "model exchange and co-simulation" if model.states else "co-simulation"
+    return {
+        "file": str(options.export),
+        "fmi": options.fmi,
+        "token": made.token,
+        "platforms": made.platforms,
+        "inputs": [one.name for one in model.inputs],
+        "outputs": [one.name for one in model.outputs],
+    }, [
+        f"{options.export}: {model.title}, FMI {options.fmi}.0 for {kinds}",
+        *(f"  in   {one.name} [{one.unit}]" for one in model.inputs),
+        *(f"  out  {one.name} [{one.unit}]" for one in model.outputs),
+        "",
+        "it must be stepped " + (f"every {model.period:g} s" if model.period is not None else "with steps of any length"),
+        f"binaries: {listing(made.platforms)}" if made.platforms else "",
+        made.missing,
+    ]
+
+
+FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and documentation
+
+
+def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
+    """Returns a controller as the content of an FMU, with the exported folder as its resources."""
+    check_floating(options.numbers)
+    saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
+    return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
+
+
+def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
+    """Returns the linear vehicle as the content of an FMU."""
+    if options.controller:
+        raise InputError("--part vehicle has no controller in it; omit --controller, or request --part loop")
+    model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle_system(vehicle))
+    return model, {VEHICLE: vehicle.text}, _about(model)
+
+
+def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
+    """Returns the linear vehicle with a controller as the content of an FMU."""
+    name, saved, own = _one(vehicle, options, vehicle.linear_names, "--part loop closes one loop")
+    controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
+    identifier = f"{c_name(kind)}_{c_name(name)}"
+    title = f"{kind}, linear, with controller {own} in continuous time"
+    model = linear_model(identifier, title, loop_system(saved, controller))
+    return model, {VEHICLE: saved.text}, _about(model)
+
+
+def _about(model: FmuModel) -> str:
+    """Returns the documentation of a linear system."""
+    named = [("input", one) for one in model.inputs] + [("output", one) for one in model.outputs]
+    rows = "".join(f"{what:7} {one.name} [{one.unit}]: {one.meaning}\n" for what, one in named)
+    return (
+        f"{model.title}\n\n{rows}\nAll is measured from static equilibrium, upwards positive. Springs, dampers and tyres are\n"
+        "linear, whatever curves or stops the vehicle file has. In co-simulation inputs are held over a step, and the step is\n"
+        f"exact for that. {VEHICLE} in resources is the vehicle.\n"
     )
-    return 0
 
 
-def saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
+def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     """Returns the vehicle whose file holds the controller's law, and the controller's name in it."""
     entry = vehicle.controllers.get(name)
     if vehicle.driven_by(name) is not vehicle:
@@ -92,7 +222,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: one is not written so, out of range, or given twice.
+        InputError: a range does not have this form, is out of range, or is given twice.
     """
     ranges = {}
     for text in given:
@@ -109,13 +239,6 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
                 f"--range {text}: give a signal and its largest magnitude, {low:g} to {high:g}, as in --range sprung_velocity=1.5"
             )
     return ranges
-
-
-def driver_of(vehicle: Vehicle, name: str) -> Driver:
-    """Returns the controller of that name, whose law the vehicle file gives."""
-    if name in vehicle.linear_names:
-        return Designer(vehicle, search=False).design(name)
-    return vehicle.controllers[name].driver()
 
 
 def check_folder(folder: Path, options: Namespace) -> int:

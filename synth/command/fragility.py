@@ -19,7 +19,7 @@ class FragilityReport:
     Attributes:
         found: the errors that it tolerates.
         rounding: certificates with rounded coefficients, by number format.
-        measured: measured signals.
+        measured: names of the measured signals.
         forces: names of the vehicle's forces.
     """
 

@@ -9,15 +9,15 @@ from models.common.errors import InputError
 
 MOST_POINTS = 1000  # that `--point` can name
 AXES_HELP = (
-    "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride within "
-    "these Hz) and tolerance=10 (the norm of [performance] with readings off by so many per cent), a colon between them; each is "
-    "the norm from road velocity, in SI; the quarter-car takes 5 to 8 s, with tolerance 20 s"
+    "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride between "
+    "these frequencies [Hz]) and tolerance=10 (the norm of [performance] with measurement errors of 10 %%). Separate axes by "
+    "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 8 s, with tolerance 20 s"
 )
 
 EPILOG = """
-exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. With a sample period or a
-delay in the vehicle file a loop fails as unstable only if it is unstable with these and without. A loop that is unstable with
-these alone is named, and does not fail
+exit code: 0 every claim holds; 1 a controller could not be designed, or a claim fails; 2 invalid input. If the vehicle file has a
+sample period or a delay, an unstable loop fails only if it is unstable both with and without them. A loop that is unstable only
+with them is listed and does not fail.
 
 examples:
   python -m synth
@@ -63,75 +63,73 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
             "only"
         )
     if options.ranges and options.numbers not in ("int32", "int16"):
-        raise InputError("--range is of whole numbers; give --export with --numbers int32 or int16, or leave it out")
+        raise InputError("--range is of integers; give --export with --numbers int32 or int16, or omit it")
     if options.export is None and "numbers" in options.given:
-        raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
+        raise InputError("--numbers is of the code of --export; name its folder with --export, or omit it")
     fmu = options.export is not None and options.export.suffix.lower() == ".fmu"
     for name in ("part", "fmi"):
         if not fmu and name in options.given:
-            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or leave it out")
+            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or omit it")
     for name in ("csv", "point"):
         if options.front is None and name in options.given:
-            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
+            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or omit it")
     return options
 
 
 def _parser() -> Parser:
     parser = Parser(
         "synth",
-        "Designs the controllers of a vehicle file, proves bounds on their norms, and compares them with lower bounds.",
+        "Design the controllers of a vehicle file, prove bounds on their norms, and compare them with lower bounds.",
         EPILOG,
     )
     parser.add_controller_and_vehicle("default: all")
-    parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
+    parser.add_argument("--zero-l", action="store_true", help="set L = 0 instead of equation (14): one-step design of remark 4")
     parser.add_argument(
         "--refine",
         action="store_true",
-        help="then lower the norm itself, as long as it is worth a larger gain; print the trade-off",
+        help="after the design, lower the norm itself as long as that justifies a larger gain; print the trade-off",
     )
     parser.add_argument(
         "--cross-check",
         action="store_true",
-        help="solve (22) and (25) by Clarabel, too: how far apart the optima are, and whether the gain attains both",
+        help="also solve problems (22) and (25) with Clarabel, compare the optima, and check that the gain attains both",
     )
     parser.add_argument(
-        "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain added, as NAME_designed"
+        "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain as controller NAME_designed"
     )
-    parser.add_argument(
-        "--prove", action="store_true", help="prove a bound for every law that the vehicle file gives, too, as for designed ones"
-    )
+    parser.add_argument("--prove", action="store_true", help="also prove a bound for each law that the vehicle file contains")
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="find how far, in per cent, measurements and forces may be off until the loop is unstable, or its norm 1 or "
-        "10 %% higher: proved, and found; and the effect of rounding its numbers to int16 or float16",
+        help="compute the errors of measurements and forces, in per cent, at which the loop becomes unstable or its norm rises "
+        "by 1 or 10 %%, proved and found; and the effect of rounding the numbers to int16 or float16",
     )
     parser.add_argument(
         "--check",
         type=Path,
         metavar="FILE",
-        help="verify the gains of a vehicle file and their certificates, or a folder of --export, file by file",
+        help="verify the gains of a vehicle file and their certificates, or each file of a folder of --export",
     )
     parser.add_argument(
         "--export",
         type=Path,
         metavar="DIR",
-        help="write one controller as C99 with tests, certificate and manifest; to FILE.mat, controllers for MATLAB; to "
-        "FILE.fmu, what --part says as an FMU",
+        help="write one controller to a folder as C99 code with tests, certificate and manifest; FILE.mat writes controllers for "
+        "MATLAB; FILE.fmu writes an FMU, see --part",
     )
     parser.add_argument(
         "--part",
         choices=("controller", "vehicle", "loop"),
         default="controller",
-        help="what an FMU of --export is: a controller as its computer runs it, the linear vehicle, or both as one linear system "
+        help="content of the FMU of --export: the digital controller, the linear vehicle, or both as one linear system "
         "(default: controller)",
     )
-    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI of an FMU of --export (default: 2)")
+    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version of the FMU of --export (default: 2)")
     parser.add_argument(
         "--numbers",
         choices=("double", "float", "int32", "int16"),
         default="double",
-        help="numbers of the code of --export (default: double)",
+        help="number format of the code of --export (default: double)",
     )
     parser.add_argument(
         "--range",
@@ -139,18 +137,18 @@ def _parser() -> Parser:
         action="append",
         default=[],
         metavar="SIGNAL=NUMBER",
-        help="largest magnitude of a reading, in SI units; for int32 and int16, which need one for each",
+        help="largest magnitude of a measured signal [SI], needed for each with int32 or int16, such as sprung_velocity=2",
     )
-    parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
-    parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")
+    parser.add_numbers("--rates", "ms", "compare sample periods: compute the norm of the sampled-data loop for each")
+    parser.add_argument("--front", metavar="AXES", help=f"compute about 200 designs between two or three axes: {AXES_HELP}")
     parser.add_argument(
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw the responses over frequency, the bands of goals shaded, or what --rates or --front asks for, as .png or "
-        ".svg; needs matplotlib",
+        help="draw the responses over frequency with the bands of goals shaded, or the result of --rates or --front (.png or "
+        ".svg); needs matplotlib",
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write every design of --front")
-    parser.add_count("--point", "the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
-    parser.add_printed("poles, proofs, notes and gains of every controller, and which gains are not unique")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write all designs of --front (.csv)")
+    parser.add_count("--point", "designs of --front that --save writes, by number", "all", 1, MOST_POINTS, many=True)
+    parser.add_printed("poles, proofs, notes and gains of every controller, and the gains that are not unique")
     return parser

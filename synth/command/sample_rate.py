@@ -34,7 +34,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
     """Sample periods [s], ascending, of as many in milliseconds.
 
     Raises:
-        InputError: one is beyond its limits or given twice, or they are too many.
+        InputError: a period is beyond its limits or given twice, or there are too many periods.
     """
     for rate in rates:
         if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # NaN is within no limits

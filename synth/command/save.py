@@ -21,7 +21,7 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     """Checks before the design that controllers of these names can be added.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, or the file could not be read where it is.
+        InputError: there is nothing to write, a name is taken, or the file could not be read at its place.
     """
     if not names:
         raise InputError(
@@ -47,7 +47,7 @@ def save(
         sampled_bounds: lower bounds of sampled loops, by controller.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, all have a preview, or the file cannot be written.
+        InputError: there is nothing to write, a name is taken, all controllers have a preview, or the file cannot be written.
     """
     text = saved_text(path, vehicle, controllers, sampled_bounds)
     with whole_file(path, "save") as beside:

@@ -53,7 +53,7 @@ class Row:
 
     Attributes:
         name: name of the controller.
-        controller: None if its design failed.
+        controller: controller of the row; None if its design failed.
         notes: notes on the controller.
         failures: claims that do not hold, or the reason of a failed design.
         worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
@@ -303,7 +303,7 @@ def refine_lines(rows: Sequence[Row], vehicle: str, whole: bool) -> list[str]:
     """Returns the norms that `--refine` lowers by more than the table's last digit; empty if none.
 
     Args:
-        vehicle: as `--vehicle` was given.
+        vehicle: argument of `--vehicle`.
         whole: True for the command below it.
     """
     worth = [row for row in rows if row.worth]

@@ -44,7 +44,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     try:
         trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, progress)
         if not trade_off.points:
-            raise DesignError(f"of {trade_off.tried} designs there is none whose claims could all be proved; give other axes")
+            raise DesignError(f"of {trade_off.tried} designs, none has claims that could all be proved; give other axes")
     except DesignError as error:
         stage.end()
         if options.json:

@@ -46,12 +46,13 @@ class Controller(Checked, Shown):
         certificate: certificate of the closed loop.
         degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
         fallback_method: the fallback method and why the two steps found no gain, in words, or empty.
-        remarks: for other designs than by two steps, distance from the optimum or what was optimised, in words.
+        remarks: notes in words: for designs other than by two steps, the distance from the optimum or what was optimised.
         false_claims: claims of the given certificate that do not hold, in words.
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
         specifications: specifications of its design or evaluation, in addition to the least norm.
-        preview: its force from the road ahead, in addition to that of its law; None without.
+        preview: force from the road ahead, in addition to that of its law; None without.
+        code: the `ExportedCode` that computes its outputs in runs; None if its own law does.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Controller(Checked, Shown):
     sampled: bool = False
     specifications: "tuple[Specification, ...]" = ()
     preview: "RoadPreview | None" = None
+    code: Any = None
 
     @property
     def kind(self) -> str:
@@ -99,9 +101,10 @@ class Controller(Checked, Shown):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns name, signals and law as a JSON object."""
-        ahead = {"preview": self.preview.record} if self.preview is not None else {}
-        return {"name": self.name, "measured": list(self.measured), **self.law.record, **ahead}
+        """Returns name, signals, law and code as a JSON object."""
+        more = {"preview": self.preview, "code": self.code}
+        parts = {name: part.record for name, part in more.items() if part is not None}
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, **parts}
 
     @property
     def text(self) -> str:
@@ -111,7 +114,7 @@ class Controller(Checked, Shown):
 
     @property
     def ahead(self) -> float:
-        """How far ahead it knows the road [s]; 0 without a preview."""
+        """Time by which the road is known ahead [s]; 0 without a preview."""
         return 0.0 if self.preview is None else self.preview.seconds
 
     @property
@@ -191,7 +194,7 @@ def check_fits(vehicle: Vehicle, *controllers: Driver) -> None:
     """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
 
     Raises:
-        InputError: it names the controller.
+        InputError: the law does not fit the vehicle; the message contains the controller's name.
     """
     outputs, forces = vehicle.linear_model.outputs, len(vehicle.linear_model.inputs)
     for one in controllers:
@@ -213,7 +216,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
         what: holder of the controller, for the message.
 
     Raises:
-        InputError: it has a preview.
+        InputError: the controller has a preview.
     """
     if controller.preview is not None:
         raise InputError(
@@ -273,7 +276,7 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
     of readings become states of the law.
 
     Args:
-        law: on the measured signals that depend on the state.
+        law: law from the measured signals that depend on the state.
         posed: the problem that it was designed for, with all q signals.
 
     Raises:

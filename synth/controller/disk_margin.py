@@ -20,7 +20,7 @@ class DiskMargin:
 
     Attributes:
         size: margin from 0 to 2; exact for one force, a bound for several, whose factors may depend on each other.
-        frequency: where the loop is next to unstable [rad/s].
+        frequency: frequency at which the loop is closest to instability [rad/s].
     """
 
     size: float

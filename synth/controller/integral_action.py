@@ -72,7 +72,7 @@ def settled(loop: GeneralizedPlant, plant: GeneralizedPlant, lacking: Sequence[i
 
     Args:
         loop: n states, of which the integrals act on z alone.
-        plant: without the law's states, which follow its own.
+        plant: plant without the law's states, which follow its own.
         lacking: states that are such integrals.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)

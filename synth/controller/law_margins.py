@@ -38,7 +38,7 @@ class LawMargins:
 
     Attributes:
         growth: rate of the fastest growing state of the law by itself [1/s]; 0 if no state grows.
-        winds_up: where the forces are clipped, in words, if the law winds up there; empty otherwise.
+        winds_up: description of where the forces are clipped if the law winds up there; empty otherwise.
         gain: factor above 1 and up to `LEAST_GAIN` at which the loop is unstable, or infinity.
         gain_lower: factor below 1, down to the inverse, at which the loop is unstable, or 0.
         disk: symmetric disk margin, from 0 to 2; None if the ideal loop is unstable or no measurement makes a force.

@@ -124,7 +124,7 @@ class SampledLaw:
     Attributes:
         vehicle: the vehicle; what its `[implementation]` says does not count.
         controller: the controller.
-        actuators: at which the loop is cut.
+        actuators: actuators at which the loop is cut.
     """
 
     vehicle: Vehicle
@@ -231,7 +231,7 @@ def sampled_loop_transfer(
     Args:
         vehicle: the vehicle; sampling and delay of its `[implementation]` do not count.
         period: sample period [s].
-        actuators: those that are cut; None for all.
+        actuators: actuators that are cut; None for all.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
     """
     loop = sampled(vehicle, controller, period)

@@ -31,8 +31,8 @@ class OpenLoop:
     """A vehicle with its actuators and controller states, and the gain to its inputs.
 
     Attributes:
-        model: its n states are those of vehicle, lag and law, and the previous forces; its inputs are the m requested forces and
-            the k rates of the controller states.
+        model: linear model whose n states are those of vehicle, lag and law, and the previous forces. Its inputs are the m
+            requested forces and the k rates of the controller states.
         G: gain from its states to all inputs, shape (m + k, n).
         hold: gain from the acting forces to the rates, shape (k, m).
         reading: gain from a disturbance of each measurement to all inputs, shape (m + k, q).
@@ -116,7 +116,7 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
 
     Args:
         model: n states, m forces.
-        law: continuous, k states.
+        law: law in continuous time with k states.
         C: output matrix of the measurements, shape (q, n).
         D: gain from the previous forces to the measurements, shape (q, m), or (q, 0) if they are not measured.
         rate: rate at which an acting force becomes the previous one [1/s].
@@ -205,7 +205,7 @@ class LoopModel:
 
     Attributes:
         vehicle: vehicle with the controller's implementation.
-        controller: its controller.
+        controller: controller of the loop.
         timestep: timestep of the run [s].
     """
 

@@ -58,7 +58,7 @@ class Problem:
         integrated: factors of the readings in each integral that is measured with them, shape (j, q - j); the integrals are the
             last j measurements. None for j = 0.
         integrals: states of the plant that are integrals, by index.
-        measured_integrals: those that are measured, in the order of `integrated`.
+        measured_integrals: integrals that are measured, in the order of `integrated`.
         states: names of the plant's states.
     """
 
@@ -102,7 +102,7 @@ class Problem:
         """Returns the loop of a law on the readings, as its certificate is of.
 
         Raises:
-            InputError: see `closed_loop`.
+            InputError: an error of `closed_loop`.
         """
         law = law.continuous()
         if not self.integrals:
@@ -156,7 +156,7 @@ def problem(
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
                 "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
-                "velocity has a filter in [performance] road; leave one of the three out"
+                "velocity has a filter in [performance] road; omit one of the three"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     states = plant_states(vehicle, hardware.bandwidth)
@@ -192,9 +192,9 @@ def generalized_plant(
 
     Args:
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
-        acting: behind a lag, z weights the acting control force, as in the built system. Else it weights the requested force,
-            which the controller decides.
-        loads: on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
+        acting: True to weight the acting control force behind a lag in z, as in the implemented system. Otherwise z weights the
+            requested force, which the controller decides.
+        loads: loads on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
     _check_integrals(vehicle, model)
@@ -225,7 +225,7 @@ def generalized_plant(
     disturbances = append(*roads, *[gain(1.0)] * len(loads))
     if not over_datum:
         return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
-    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 in place of C.
+    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 instead of C.
     of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
     states = len(disturbances.A) // len(roads)
     height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
@@ -309,7 +309,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
-        bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
+        bandwidth: corner frequency of the actuator lag, as in `generalized_plant`; behind a lag the feedthrough is zero.
 
     Raises:
         InputError: a signal this vehicle has not.

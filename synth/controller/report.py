@@ -164,7 +164,7 @@ def false_norm(
     Args:
         record: a checked certificate; None for a controller without one.
         vehicle: vehicle with the controller's implementation.
-        norm_of_loop: computes the norm (`norm_if_implemented`); called only if a norm is claimed.
+        norm_of_loop: function that computes the norm (`norm_if_implemented`); called only if a norm is claimed.
     """
     said = (record or {}).get(SAMPLED_NORM)
     if said is None:
@@ -247,7 +247,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
         f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
-        f"1 m counts as {model.twist_rate:.4g} m/s (docs/how-to/vehicles-that-ship.md)"
+        f"1 m counts as {model.twist_rate:.4g} m/s (docs/built-in-vehicles.md)"
     ]
 
 
@@ -317,7 +317,7 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented leave it out"
+            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented omit it"
         )
     return lines
 

@@ -75,7 +75,7 @@ class Margins:
         gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is no such factor.
         crossovers: all crossovers, by increasing delay; the first is the margin.
         sample_period: shortest period at which the loop is unstable [s].
-        disk: what complex factors it bears.
+        disk: disk margin: the complex factors that the loop tolerates.
         all_sampled: True if that is with all forces sampled, and not only those at which the loop is cut.
     """
 

@@ -90,7 +90,7 @@ def two_steps_or_descent(
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
     Args:
-        plant, Cy, lower_bound, states: as for `two_step_design`.
+        plant, Cy, lower_bound, states: arguments of `two_step_design`.
         path: returns the central path of (22) if it is known already, or raises.
         Dyw: shape (q, r), if noise is measured: the two steps ignore it, and are one of the starts of a descent.
         largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
@@ -99,8 +99,8 @@ def two_steps_or_descent(
     Raises:
         InputError: the plant has no input, or a matrix does not fit it.
         InfeasibleError: no static gain stabilises the plant; the message names the mode.
-        DesignError: neither finds a gain whose certificate holds; the message gives the reason. A certificate may lack a bound if
-            rounding leaves no proof, as for the large gains of 60 states.
+        DesignError: neither method finds a gain whose certificate holds; the message gives the reason. A certificate may lack a
+            bound if rounding leaves no proof, as for the large gains of 60 states.
     """
     check_inputs(plant)
     rows, kept = as_measurement_matrix(plant, Cy)
@@ -151,14 +151,14 @@ def near_lower_bound(
     unless it takes poles beyond any actuator.
 
     Args:
-        plant, Cy, states, Dyw, largest_gain: as for `two_steps_or_descent`.
-        lower_bound: what no controller from these measurements beats; sought for plants of at most 20 states where it is None.
+        plant, Cy, states, Dyw, largest_gain: arguments of `two_steps_or_descent`.
+        lower_bound: lower bound for any controller from these measurements; None: computed for plants of at most 20 states.
 
     Returns:
         The design, and the words: empty where nothing goes on from the two steps.
 
     Raises:
-        InputError, InfeasibleError, DesignError: as `two_steps_or_descent`.
+        InputError, InfeasibleError, DesignError: errors of `two_steps_or_descent`.
     """
     check_stabilisable(plant, Cy, states)
     below = lower_bound

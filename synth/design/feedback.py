@@ -48,7 +48,7 @@ class FeedbackDesign(Shown):
         method: method of the design.
         why: reason for that method, in words.
         remark: distance from the optimum, assumptions and left-out measurements, in words; empty without any.
-        value: minimised value.
+        value: value of the objective that was minimised.
         criterion: name of that value: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
             without a sample period, or if none is proved.
@@ -143,12 +143,12 @@ def design_feedback(
         sample_period: period of the computer that closes the loop of a continuous plant and holds the forces [s].
         delay: delay from a measurement to its force [samples].
         minimise: the norm that is minimised, as in {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
-        bounds: as in [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
+        bounds: bounds such as [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
         family: further plants that the same gain is for; the largest norm of all counts.
         structure: ones where a measurement may act on a force, else zeros, shape (m, q); with a number of states each force has
             a law of its own with so many. Or "pi" or "pid", a law of that kind from each measurement to a force.
-        pid: for "pid" the time constant of the derivative's low-pass [s], as in {"filter": 0.01}.
+        pid: time constant of the derivative's low-pass for "pid" [s], such as {"filter": 0.01}.
         largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
         lower_bound: lower bound for any controller from these measurements, if known, for the certificate.
         states: names of the states, for messages.
@@ -193,7 +193,7 @@ def design_feedback(
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain goes with a static gain of the least norm alone; leave it out, or give goals "
+            f"{WHERE} largest_gain goes with a static gain of the least norm alone; omit it, or give goals "
             'bounds = [{"gain": ...}]'
         )
     law_structure = asked.structure({"order": order} | own) if of_law else None

@@ -1,7 +1,7 @@
 """A common static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
 
 1. State feedback for all of them: W of the LMIs with C_y = I.
-2. L (14) with W' in place of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
+2. L (14) with W' instead of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
    W_Q + R W_R R' and Y = Y_R R'.
 
 **The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above that
@@ -80,14 +80,14 @@ def slack_design(
     """The gain u = K y of the two steps with a slack variable that is best for the worst of some plants.
 
     Args:
-        plants: continuous, alike in the number of states and inputs; one is a family, too.
-        Cys: what each measures, shape (q, n) each.
-        structure: where K may be other than zero: ones and zeros, shape (m, q). None: everywhere.
+        plants: plants in continuous time, alike in the number of states and inputs; one is a family, too.
+        Cys: measurement matrix of each plant, shape (q, n) each.
+        structure: mask of ones and zeros, shape (m, q), with ones where K may be other than zero. None: everywhere.
         f: values to try, each above 0, in units of one over the rate of the first plant.
 
     Raises:
         InputError: the plants do not fit one another, or a C_y, the structure or an f does not fit.
-        TooLargeError: too many unknowns for an answer within a minute.
+        TooLargeError: the problem has too many unknowns for an answer within a minute.
         DesignError: the LMIs have no solution for any f, the solver gave up, or no gain that it proposed stabilises all plants;
             there may be a gain nevertheless.
 

@@ -85,7 +85,7 @@ def searched(problem: SampledDataProblem, level: float, known: Array | None, wor
     """The best gain that the search of static gains finds for the plant of one level, and descents from there; its norm.
 
     Args:
-        level: near the norm, or far above it: then the plant's norm is nearly proportional to that of the loop.
+        level: level near the norm, or far above it: then the plant's norm is nearly proportional to that of the loop.
         known: a stabilising gain, which the search starts from, too.
         work: counts the norms.
     """
@@ -150,7 +150,7 @@ def check_size(problem: SampledDataProblem) -> None:
     if n + m * late > MOST_STATES:
         raise TooLargeError(
             f"forces of {late} samples on their way make it {n + m * late} states, and the sampled loop is designed for with at "
-            f"most {MOST_STATES}; leave sampled = true out, for the continuous design runs at any delay, or give a longer sample "
+            f"most {MOST_STATES}; omit sampled = true, for the continuous design runs at any delay, or give a longer sample "
             "period or a shorter delay"
         )
 
@@ -170,9 +170,9 @@ class SampledDataDesign:
     Attributes:
         gain: K, shape (m, q).
         norm: the L2 gain of its loop, exact.
-        level: what the LMI says that is at most; None of a gain that was found by descent.
-        kept: which of the q measurements do not follow from others; the gain of those that do is zero.
-        instead: why the two steps did not lead to it, in words; empty where they did.
+        level: level of the LMI; None for a gain that was found by descent.
+        kept: mask of the q measurements that do not follow from others; the gain of the other measurements is zero.
+        instead: reason why the two steps did not lead to this gain, in words; empty if they did.
     """
 
     gain: Array
@@ -195,7 +195,7 @@ def held_design(
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
-        TooLargeError: too many forces are on their way.
+        TooLargeError: too many forces are delayed at the same time.
         DesignError: no gain was found; the message lists what was tried.
     """
     check_size(problem)
@@ -307,7 +307,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
     """Returns K by the two steps, which know no noise, and its level.
 
     Args:
-        problem: without noise, of independent measurements.
+        problem: problem without noise, with independent measurements.
         near: a level to start from.
         undelayed: a gain without delay, shape (m, q): L (14) is also chosen so that delayed forces follow it.
 

@@ -124,7 +124,7 @@ def static_output_feedback(
         largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
-        lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
+        lower_bound: lower bound on the norm of any such controller: ends the search early, and is part of the certificate.
         Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
             descent starts.
         rival: a norm that is reached otherwise; a gain that stays far above it is not followed further. Infinite without one.
@@ -168,8 +168,8 @@ def descended(
     """Designs a static gain by descents, given the result of the two steps or the reason of their failure.
 
     Args:
-        plant, Cy, largest_gain, lower_bound, Dyw, rival: as for `static_output_feedback`.
-        two_steps: their result, or the reason why they found no gain.
+        plant, Cy, largest_gain, lower_bound, Dyw, rival: arguments of `static_output_feedback`.
+        two_steps: result of the two steps, or the reason why they found no gain.
         most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
         work: counts the norms, those of several searches; `bounded_work` if it is not given.
     """
@@ -220,10 +220,10 @@ class GainSearch:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
         beaten_by_none: lower bound for controllers of this kind; 0 for none.
-        Dyw, through, structure: as for `Landscape`.
+        Dyw, through, structure: arguments of `Landscape`.
         alike: returns the gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
-        rival: as for `static_output_feedback`.
+        rival: argument of `static_output_feedback`.
         work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
         """
         self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
@@ -358,7 +358,7 @@ class GainSearch:
         return min(ends, key=lambda each: each.norm)
 
     def followed(self, candidate: Candidate) -> Candidate:
-        """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
+        """A candidate after descents of both types alternately, as many as gain something: some valleys are long."""
         quick = True
         for _ in range(max(1, int(LONGEST * min(1.0, (LARGE / len(self.plant.A)) ** 2)))):
             before = candidate.norm

@@ -36,7 +36,7 @@ class WellPosedProblem:
     """A well-posed problem (22).
 
     Attributes:
-        plant: to be designed for; the given one, unless its problem is degenerate.
+        plant: plant to design for: the given plant, unless its problem is degenerate.
         case: degeneracy of the given problem, in words, or empty.
         best: an optimal state gain, shape (m, n), if one is known.
         best_case: degeneracy that makes that gain optimal, in words.
@@ -224,8 +224,8 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or it could not
-            be followed; the message gives the reason.
+        DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or the path
+            could not be followed; the message gives the reason.
     """
     problem, own = well_posed(plant).plant, own_units(plant)
     modes = unobservable_marginal_modes(problem, states)
@@ -256,7 +256,7 @@ def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), low
         lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
 
     Raises:
-        InfeasibleError, DesignError: as `state_path`, or no certificate holds.
+        InfeasibleError, DesignError: errors of `state_path`, or no certificate holds.
     """
     problem, everything = well_posed(plant), np.eye(len(plant.A))
     if problem.best is not None:

@@ -50,7 +50,7 @@ class Barrier:
         """Returns the derivatives at a point, or None outside the feasible set.
 
         Raises:
-            LinAlgError: some change of the unknowns changes no constraint, except by an underflow.
+            LinAlgError: a change of the unknowns changes no constraint, except by an underflow.
         """
         W, rows, trace = [], [], 0.0
         for F0, F, flat, upper, diagonal, weights in self.blocks:

@@ -87,7 +87,7 @@ class CentralPoint:
         Args:
             states: present unit of each state, in the new one, shape (n,).
             inputs: present unit of each input, in the new one, shape (m,).
-            measured: the same for the inputs of K, shape (q,); or S, if the new inputs of K are S times the present ones, (q, q).
+            measured: units of the q inputs of K, shape (q,); or S, if the new inputs of K are S times the present ones, (q, q).
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -108,7 +108,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
         Points with eta > 0 by falling mu, each mu a tenth to a hundredth of the previous one.
 
     Raises:
-        InputError: nothing disturbs the plant, or nothing is weighed.
+        InputError: no disturbance acts on the plant, or no signal is weighted.
         NoSolutionError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
         DesignError: Newton's method failed before mu.

@@ -14,7 +14,7 @@ def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPo
     """Returns the central path of (22). Its last point is the optimal state feedback u = G_s x, with G_s = Y X^-1 (3) as K.
 
     Args:
-        mu: see `central_path`.
+        mu: path parameter, see `central_path`.
 
     Raises:
         NoSolutionError: no state feedback moves every mode by more than rounding.
@@ -70,10 +70,10 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: 
     """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
-        Cy: measured output y = C_y x, shape (q, n), full row rank.
+        Cy: matrix of the measured output y = C_y x, shape (q, n), full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
         Q: basis of the nullspace of C_y, shape (n, n - q).
-        mu: see `central_path`.
+        mu: path parameter, see `central_path`.
 
     Raises:
         NoSolutionError: (25) has no solution with eta > 0 for this L.

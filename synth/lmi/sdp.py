@@ -145,8 +145,8 @@ def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: 
     W_R = C_y W C_y' must have the blocks that the second step needs: this is a constraint here.
 
     Args:
-        plants: continuous, with the same states and inputs.
-        f: above 0 [s].
+        plants: plants in continuous time, with the same states and inputs.
+        f: time unit, above 0 [s].
         Cy: measurements of the second step, shape (q, n).
         blocks: mask of the entries of W_R that may be nonzero, see `together`, shape (q, q).
 
@@ -167,8 +167,8 @@ def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array
     """Maximises eta subject to the same LMIs for output feedback, with W = Q W_Q + R W_R R' and Y = Y_R R'.
 
     Args:
-        plants: continuous, with the same states and inputs.
-        f: above 0 [s].
+        plants: plants in continuous time, with the same states and inputs.
+        f: time unit, above 0 [s].
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
         pattern: mask of the entries of K that may be nonzero, shape (m, q).

@@ -32,7 +32,7 @@ def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[
     """Returns points of the central path up to its limit; the X of each proves its bound.
 
     Args:
-        plant: discrete, n states, m inputs.
+        plant: plant in discrete time with n states and m inputs.
         Cy: shape (q, n), full row rank.
         start: point on the path of (25): its X, which determines R (9), is the first W.
 

@@ -3,7 +3,7 @@
     S_v = -((20) of loop v) + t I > 0,    X > 0
 
 with the unknowns X (symmetric) and t. With L = -[A; C], R = [I; 0] and P = S^-1 the second derivative of -log det S along unit
-matrices e_p e_q' and e_s e_t' in place of X is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P L and
+matrices e_p e_q' and e_s e_t' instead of X is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P L and
 a = R' P R, as in `structured_barrier.py`. The sum over the loops is one matrix product, with n^4 operations for each loop.
 """
 
@@ -25,7 +25,7 @@ class StackedBarrier:
 
     Args:
         constant: (20) of V loops with X = 0, shape (V, n + d, n + d).
-        system: [A; C] of each, shape (V, n + d, n).
+        system: matrices [A; C] of the systems, shape (V, n + d, n).
     """
 
     def __init__(self, constant: Array, system: Array) -> None:

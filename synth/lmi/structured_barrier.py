@@ -5,7 +5,7 @@ Every constraint of the central path has the form
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
 with the unknowns X (symmetric, block diagonal), Y and p_N. With P = S^-1 the second derivative of -log det S along unit matrices
-e_p e_q' and e_s e_t' in place of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
+e_p e_q' and e_s e_t' instead of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
 products of entries of three small matrices.
 
 If S is nearly singular, the largest terms of these sums would swamp the others. So the part of P that belongs to the smallest
@@ -33,7 +33,7 @@ class Basis:
     For one plant, or for a stack of plants of the same shape along leading axes (...).
 
     Args:
-        system: [A B Bw; C D Dw], shape (..., k, n + m + r).
+        system: matrices [A B Bw; C D Dw], shape (..., k, n + m + r).
         n, m, free: number of states, of inputs, and of columns of Q.
         step: sample period of a discrete plant [s]; 0 for a continuous one.
 
@@ -199,8 +199,8 @@ class _Run:
     """Unknowns in the same row of [X; Y].
 
     Attributes:
-        row: its index.
-        others: their columns.
+        row: index of the row.
+        others: columns of the other entries.
         begin, end: range of their indices.
         upper, lower: positions of the unknowns of X from `begin` on, and of their mirror images, in a flat square matrix of rows
             and columns `row` to n.
@@ -233,7 +233,7 @@ class StructuredBarrier:
     """Constraints on the unknowns of (22) or (25).
 
     Args:
-        constraints: all of the same n and m.
+        constraints: constraints with the same n and m.
         n, m, free: number of states, of inputs, and of columns of Q.
     """
 

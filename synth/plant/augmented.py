@@ -38,7 +38,7 @@ def on_larger_plant(
 
     Args:
         Cy: shape (q, n).
-        law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
+        law: law on y = C_y x + Dyw w with k states, continuous as the plant, or discrete.
         Dyw: shape (q, r); zero if it is not given.
 
     Returns:
@@ -70,7 +70,7 @@ def closed_by(plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array) ->
 
     Args:
         Cy: shape (q, n).
-        law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
+        law: law on y = C_y x + Dyw w with k states, continuous as the plant, or discrete.
         Dyw: shape (q, r).
     """
     n, K = len(plant.A), law.D

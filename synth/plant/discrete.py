@@ -88,8 +88,8 @@ def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> Generalized
     """Returns the continuous image, from w to z, of a discrete loop without a pole at z = -1; a continuous loop is its own.
 
     Args:
-        loop: continuous or discrete.
-        turned: replace z by -z first: then z = -1 is mapped to 0, not to infinity. Norm and X stay the same.
+        loop: loop in continuous or discrete time.
+        turned: True to replace z by -z first: then z = -1 is mapped to 0, not to infinity. Norm and X stay the same.
     """
     if loop.dt is None:
         return loop
@@ -172,7 +172,7 @@ def response_closely(system: GeneralizedPlant, t: float) -> tuple[Array, float]:
     """Returns T at a point of the unit circle, complex, shape (d, r), and the largest change of an entry in the last iteration.
 
     Args:
-        system: discrete; `beyond` counts.
+        system: system in discrete time; `beyond` counts.
         t: tan(omega dt / 2), from 0 to infinity.
 
     Raises:

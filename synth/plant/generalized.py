@@ -94,7 +94,7 @@ class GeneralizedPlant:
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
-                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, of zeros if there is none")
+                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, zeros if nothing acts there")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
             raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
@@ -108,7 +108,7 @@ class GeneralizedPlant:
 
     @cached_property
     def differences(self) -> "GeneralizedPlant":
-        """The plant in differences, (x[k+1] - x[k]) / dt in place of x': its entries tend to the continuous ones as dt falls.
+        """The plant in differences, (x[k+1] - x[k]) / dt instead of x': its entries tend to the continuous ones as dt falls.
 
         The result has the form of a continuous plant, but other poles and norms; a continuous plant is its own.
         """
@@ -175,8 +175,8 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
     """Returns [A; C] + [B; D] G, rounded once, and the rounding error.
 
     Args:
-        open_loop: [A; C], shape (n + d, n).
-        inputs: [B; D], shape (n + d, m).
+        open_loop: open loop [A; C], shape (n + d, n).
+        inputs: inputs [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
         beyond: true A and C less their floats, shape (n + d, n); None if they are exact.
     """
@@ -241,7 +241,7 @@ def check_posed(plant: GeneralizedPlant) -> None:
         InputError: Bw and Dw are zero, or C and D are.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw)):
-        raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
+        raise InputError("the plant has no disturbance: Bw and Dw are zero; give at least one nonzero entry")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
 
@@ -266,8 +266,8 @@ def measurement_matrices(
 
     Args:
         Cy: a row for each measured signal.
-        Dyw: likewise; zero if it is not given.
-        through: what the forces do to the measurements at once, shape (q, m); zero if it is not given.
+        Dyw: feedthrough from w to the measurements; zero if it is not given.
+        through: feedthrough from the forces to the measurements, shape (q, m); zero if it is not given.
 
     Raises:
         InputError: the plant has no state, a matrix is not one of real finite numbers of its shape, no signal is measured, or one
@@ -275,10 +275,10 @@ def measurement_matrices(
     """
     states = _measured(Cy, len(plant.A))
     shape = len(states), plant.Bw.shape[1]
-    names, words, noise = ["Cy"], "of the state", np.zeros(shape)
+    names, words, noise = ["Cy"], "state", np.zeros(shape)
     if Dyw is not None:
         noise = real_matrix(Dyw, "Dyw", str(shape))
-        names, words = ["Cy", "Dyw"], "of state or disturbance"
+        names, words = ["Cy", "Dyw"], "state or disturbance"
     if noise.shape != shape:
         raise InputError(
             f"Dyw has shape {noise.shape}; expected {shape}: a row for each measured signal, a column for each disturbance"
@@ -305,4 +305,4 @@ def _refuse_silent(rows: Array, name: str, of: str) -> None:
     silent = np.flatnonzero(sizes < SMALLEST)
     if len(silent):
         what = "zero" if sizes[silent[0]] == 0 else f"below {SMALLEST:g}"
-        raise InputError(f"row {silent[0]} of {name} is {what}: that signal says nothing {of}; leave it out")
+        raise InputError(f"row {silent[0]} of {name} is {what}: the signal contains no information on the {of}; omit the row")

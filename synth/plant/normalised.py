@@ -1,6 +1,6 @@
 """Normalisation of a plant and its measurements to numbers of size one, and the way back for a law.
 
-The normalised plant does not depend on the given units, to the last bit if these differ by powers of two. So a design does not
+The normalised plant is bit for bit independent of the given units if these differ by powers of two. So a design does not
 depend on them either. A design depends only on the span of the measurements: they are replaced by an orthonormal basis, and
 dependent signals are left out.
 """

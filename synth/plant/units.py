@@ -49,7 +49,7 @@ class OwnUnits:
     Attributes:
         states: own units of the states in given ones, shape (n,).
         inputs: own units of the inputs in given ones, shape (m,).
-        exact: both before rounding to powers of two, shapes (n,) and (m,): independent of the given units.
+        exact: units before rounding to powers of two, shapes (n,) and (m,): independent of the given units.
         rate: rate of the plant [rad/s]; time keeps its unit.
     """
 
@@ -114,7 +114,7 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
     which the motion and the driving force have the same weight in z.
 
     The pattern of zeros may leave units undetermined. Some of these are kept as given, those of the disturbance before others. So
-    the same plant in other units, each a power of two, is the same in its own to the last bit.
+    the same plant in other units, each a power of two, is the same in its own bit for bit.
 
     Args:
         plant: n states; a discrete one has those of its differences.
@@ -168,7 +168,7 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
     Args:
         normal: the normal equations, shape (N, N).
-        right: their right side, shape (N,).
+        right: right-hand side of the equations, shape (N,).
         first: all unknowns, in the order in which they are kept, shape (N,).
     """
     sizes, directions = np.linalg.eigh(normal)
@@ -238,20 +238,20 @@ class NormalisedSystem:
     """Plants in the coordinates of [Q R], in units in which all numbers of the first have size one, and time in 1 / rate.
 
     Args:
-        plants: continuous, alike in states and inputs.
+        plants: plants in continuous time, alike in states and inputs.
         rate: the unit of time is one over it [rad/s].
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        blocks: which columns of R no unit may mix, those where it is 0; of ones and zeros, shape (q, q).
+        blocks: mask of ones and zeros, shape (q, q): zeros of R mark columns that no unit may mix.
 
     Attributes:
-        plants: the same in these units.
-        T: its states in the given ones, shape (n, n).
+        plants: plants in these units.
+        T: transformation of the states to the given units, shape (n, n).
         measured: unit of y = C_y x, to which R's columns belong, shape (q, q).
-        rate: as given.
+        rate: rate as given.
         force: unit of all inputs.
         disturbance: unit of w.
-        gain: one over the unit of z over w.
+        gain: reciprocal of the unit of z over w.
     """
 
     def __init__(self, plants: Sequence[GeneralizedPlant], rate: float, Q: Array, R: Array, blocks: Array) -> None:

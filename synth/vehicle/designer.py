@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import Controller, certify_law, on_readings, verify_record
+from synth.controller.controller import Controller, Driver, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
@@ -41,7 +41,7 @@ def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
 
-NOT_REFINED = "and what is refined is a static gain, which has none; leave --refine out"
+NOT_REFINED = "and what is refined is a static gain, which has none; omit --refine"
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
@@ -185,12 +185,12 @@ class Designer:
 
         Args:
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
-            on_progress: called with what a design for goals has reached, as it goes on.
+            on_progress: callback that receives the progress of a design for goals.
 
         Raises:
             InputError: no controller has that name.
-            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported unchanged. If the
-                two steps cannot be completed, descent on the norm continues instead; see `Controller.fallback_method`.
+            DesignError: the controller could not be designed, or its certificate fails. A gain from the file is reported
+                unchanged. If the two steps fail, descent on the norm continues; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -268,7 +268,7 @@ class Designer:
         """Certifies a known law from measurements to forces under any name, unchanged.
 
         Raises:
-            InputError: it has another number of signals or forces, or no loop.
+            InputError: the gain has another number of signals or forces, or there is no loop.
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
@@ -360,7 +360,7 @@ class Designer:
 
         Raises:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
-            DesignError: it does not stabilise the vehicle, or no start leads to a gain.
+            DesignError: the gain does not stabilise the vehicle, or no start leads to a gain.
         """
         from synth.vehicle.refined import refined
 
@@ -423,6 +423,13 @@ def certify_given(
 ) -> Controller:
     """Certifies a known law; `Designer.certify` shares work between several."""
     return Designer(vehicle).certify(name, measured, law, hardware)
+
+
+def driver_of(vehicle: Vehicle, name: str) -> Driver:
+    """Returns a controller of any kind, whose law the vehicle file gives."""
+    if name in vehicle.linear_names:
+        return Designer(vehicle, search=False).design(name)
+    return vehicle.controllers[name].driver()
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

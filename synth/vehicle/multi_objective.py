@@ -36,7 +36,7 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     """The vehicles that a design is for.
 
     Raises:
-        InputError: one cannot be.
+        InputError: a vehicle cannot be in a family with the others.
     """
     members = []
     for i, member in enumerate(goals.family or ({},)):
@@ -126,7 +126,7 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
             f"{where}: {pushed[0]!r} has the road's velocity in it, by the damping of the tyre, and no peak or energy of it is "
-            "bounded; leave it out, or tyre_damping"
+            "bounded; omit it, or tyre_damping"
         )
 
 
@@ -158,7 +158,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
+        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; omit them")
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
@@ -173,7 +173,7 @@ def goals_design(
 
     Args:
         posed: the problem of its certificate: z of `[performance]` at all frequencies.
-        on_progress: called with what is reached, as it is.
+        on_progress: callback that receives the progress of the search.
 
     Raises:
         DesignError: no controller was found.
@@ -227,7 +227,7 @@ def verify_specifications(
     """Verifies a given gain against the goals of its section.
 
     Args:
-        search: include the ratio to each vehicle's own optimum in a family, which takes designs.
+        search: True to include the ratio to each vehicle's own optimum in a family, which requires designs.
 
     Raises:
         DesignError: a vehicle of the family has no gain within the bounds by itself, if its ratio is included.
@@ -245,8 +245,8 @@ def cost_of_structure(
 
     Args:
         problem: the problem, with the structure.
-        design: its design, from which the full gain descends for a limited number of rounds.
-        on_progress: called with what the full gain has reached.
+        design: design of the controller, from which the full gain descends for a limited number of rounds.
+        on_progress: callback that receives the progress of the full gain.
     """
     if np.all(problem.structure):
         return ()

@@ -35,12 +35,12 @@ class Printed:
     """A number of the paper.
 
     Attributes:
-        equation: where it stands.
-        quantity: its symbol.
+        equation: place in the paper.
+        quantity: symbol of the quantity.
         entry: row and column from 0; None for a scalar.
-        value: as printed.
+        value: value as published.
         digit: unit of its last printed digit.
-        reason: why ours differs in that digit; empty where it does not.
+        reason: reason for a difference in that digit; empty without a difference.
     """
 
     equation: str

@@ -1,4 +1,4 @@
-"""A controller of a vehicle file that is the best in the mean, from Riccati equations: LQR, LQG, H2, or preview LQ."""
+"""A controller of a vehicle file with the smallest mean square, from Riccati equations: LQR, LQG, H2, or preview LQ."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
 
     Raises:
         InputError: the states of filters in [performance] are not measured; or as `preview_design`.
-        DesignError: as `preview_design`.
+        DesignError: errors of `preview_design`.
     """
     Cy, _ = posed.select_rows(posed.state_measurements)
     try:

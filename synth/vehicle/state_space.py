@@ -96,7 +96,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
     """Returns a system from the measurements to the forces as a controller, certified unchanged.
 
     Args:
-        name: what to call it.
+        name: name of the controller.
         measured: signals at its inputs. If the system names its inputs or outputs, the names of signals and forces count, not
             their order.
         system: `control.StateSpace`, or anything that has A, B, C, D, and dt if it is sampled: seconds.
@@ -133,7 +133,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
         controller: a linear controller that measures something.
 
     Raises:
-        InputError: it measures nothing, or is another vehicle's.
+        InputError: the controller has no measurements, or belongs to another vehicle.
 
     Example:
         >>> from models import read_vehicle
@@ -186,8 +186,8 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
     acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
 
     Args:
-        vehicle: its outputs are the loop's.
-        controller: designed or given; its law is linear.
+        vehicle: vehicle whose outputs are those of the loop.
+        controller: controller, designed or given, with a linear law.
 
     Example:
         >>> from models import read_vehicle

@@ -40,7 +40,7 @@ class WorstCase:
 
     Attributes:
         lower: the largest norm found.
-        upper: proved upper bound; infinite if none is known.
+        upper: upper bound that is proved; infinite if none is known.
         errors: errors at which `lower` occurs.
     """
 

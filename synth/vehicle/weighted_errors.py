@@ -77,7 +77,7 @@ def robust_controller(
 
     Args:
         nominal: the controller designed for the norm; returned if no other is better.
-        on_progress: called with the robust performance so far, and True.
+        on_progress: callback that receives the robust performance so far, and True.
     """
     assert entry.errors is not None, "it has weights"
     posed = nominal.problem(vehicle)

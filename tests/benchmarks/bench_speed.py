@@ -289,7 +289,7 @@ def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
     law = vehicle.controllers[controller].semi_active
     driver = Designer(vehicle).design(controller) if law is None else SemiActive(controller, law)
     plan = Plan(campaign, {"car.toml": {controller: driver}})
-    store = Store(tmp_path, columns(campaign), {}, plan.count)
+    store = Store(tmp_path, columns(campaign, {}), plan.count)
     native = native_steps(build_model(vehicle, 1e-3), workers)
     # Batches have as many runs as the command gives them once it knows how fast they are; the first two load what all need.
     progress = Progress(plan, plan.count, RUNS_AT_ONCE, lambda told: None)

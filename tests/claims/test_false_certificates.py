@@ -13,7 +13,6 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import ControllerEntry, Vehicle, read_vehicle
 from sim import bump
 from sim.campaign import __main__ as campaign
-from sim.campaign.verify import SAME_GAIN, _same_law
 from synth.__main__ import main as synth
 from synth.analysis.certificate import certify
 from synth.analysis.record import false_claims, to_record
@@ -279,33 +278,6 @@ def test_what_is_designed_unstable_or_cannot_be_proved_is_as_it_was(paper, desig
     assert proved(designer, wild) == (wild, ())
     monkeypatch.setattr("synth.command.check.certify_tightly", lambda *_: calm.certificate)
     assert proved(designer, calm) == (calm, (UNPROVED,))
-
-
-def in_campaign(law: LinearLaw) -> dict:
-    """A law as the folder of a campaign has it."""
-    return {"measured": ["suspension_deflection", "sprung_acceleration"], **json.loads(json.dumps(law.record))}
-
-
-@pytest.mark.parametrize("period", [None, 0.004])
-def test_a_law_in_other_coordinates_is_the_same_law(paper, period):
-    """The effect of a law is compared, not its matrices; another entry, force, period or order is another law."""
-    law = law_of(paper, 4, period)
-    T = np.random.default_rng(3).standard_normal((4, 4)) + 3 * np.eye(4)
-    turned = LinearLaw(np.linalg.solve(T, law.A) @ T, np.linalg.solve(T, law.B), law.C @ T, law.D, law.sample_period)
-    assert not np.allclose(turned.A, law.A)
-    assert _same_law(in_campaign(law), in_campaign(turned))
-    for name in "ABCD":
-        for at in np.ndindex(getattr(law, name).shape):
-            if getattr(law, name)[at]:
-                matrix = np.array(getattr(law, name))
-                matrix[at] *= 1.001
-                assert not _same_law(in_campaign(law), in_campaign(dataclasses.replace(law, **{name: matrix}))), (name, at)
-    assert not _same_law(in_campaign(law), in_campaign(dataclasses.replace(law, sample_period=0.003)))
-    assert not _same_law(in_campaign(law), in_campaign(law_of(paper, 3, period)))
-    assert not _same_law(in_campaign(law), in_campaign(static_law(law.D)))
-    static = static_law(law.D)
-    assert _same_law(in_campaign(static), in_campaign(static_law(law.D * (1 + 0.1 * SAME_GAIN))))
-    assert not _same_law(in_campaign(static), in_campaign(static_law(law.D * (1 + 10 * SAME_GAIN))))
 
 
 # --- the commands ----------------------------------------------------------------------------------------------------------

@@ -105,7 +105,7 @@ def test_bump(log, capsys):
     parts = {finding["part"] for finding in controlled["findings"]}
     assert parts == {"certificate", "responses", "claims", "result"}
     texts = {finding["part"]: finding["text"] for finding in controlled["findings"]}
-    assert texts["responses"] == "MuJoCo's, sampled and continuous come out as they were logged, to the last bit"
+    assert texts["responses"] == "MuJoCo's, sampled and continuous come out as they were logged, bit for bit"
     assert texts["claims"].startswith("energy balances")
     assert any(finding["text"].startswith("lift-off") for finding in controlled["findings"])
     result = json.loads(dict((name, data) for name, _, data in contents(log).attachments)["result.json"])
@@ -399,7 +399,7 @@ def test_several(brief, parts, tmp_path, capsys, monkeypatch):
 
 def test_csv_is_of_one_log(log, tmp_path):
     """A table of several logs is refused, before anything is read or written."""
-    with pytest.raises(InputError, match=r"^--csv writes the signals of one log, and 2 were named; give one, or leave it out$"):
+    with pytest.raises(InputError, match=r"^--csv writes the signals of one log, and 2 are given; give one log, or omit --csv$"):
         main([str(log), str(log), "--csv", str(tmp_path / "signals.csv")])
     assert not (tmp_path / "signals.csv").exists()
 

@@ -21,9 +21,8 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS
+from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import CompiledStep, ExportedCode
-from synth.controller.export.fixed_source import source_of
 from tests.support import cortex_m4
 from tests.support.commands import attacks, prose
 
@@ -59,7 +58,7 @@ SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd"
 
 def started(law: ExportedLaw, folder: Path) -> CompiledStep:
     """Returns the code of a law at its start; a compiler that warns of much finds nothing in it."""
-    texts = source_of(law, "0" * 64).files
+    texts = CSource(law, "0" * 64).files
     for name, text in texts.items():
         (folder / name).write_text(text)
     command = [str(COMPILER), *FLAGS.split(), *STRICT.split(), "-c", f"{law.name}.c"]
@@ -272,13 +271,13 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", [], "no controller is given"),
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
         ("", ["--controller", "I", "--refine"], "it goes with --controller"),
-        (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not a whole number"),
+        (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
         ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give a signal and its largest"),
         ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "has a range already; give it once"),
         ("", [*WHOLE, "--range", "sprung_velocity=fast"], "--range sprung_velocity=fast: give a signal and its largest"),
-        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is of whole numbers"),
+        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is of integers"),
         (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state grows or stays for ever"),
     ],
 )
@@ -367,7 +366,7 @@ def test_an_arm_build_has_no_number_that_it_should_not(numbers, tmp_path):
     """Built for a processor without floating point, float needs no routine for double, and whole numbers need none at all."""
     pytest.importorskip("ziglang", reason="needs the extra [export]")
     law = random_law(np.random.default_rng(2), read_vehicle("quarter_car"), numbers)
-    for name, text in source_of(law, "0" * 64).files.items():
+    for name, text in CSource(law, "0" * 64).files.items():
         (tmp_path / name).write_text(text)
     target = (
         "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -std=c99 -O2 -ffp-contract=off -Wdouble-promotion -Werror"

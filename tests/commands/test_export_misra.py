@@ -18,9 +18,7 @@ from tests.commands.test_export import SEMI_ACTIVE
 from tests.commands.test_export_fmu import TEXT
 from tests.support.commands import attacks
 
-ALLOWED = {
-    "8.9": "advisory: a table that one function alone reads stands in NAME_data.h, where it is found and compared, not in it"
-}
+ALLOWED = {"8.9": "advisory: a table that one function alone reads is in NAME_data.h, where it is found and compared, not in it"}
 
 
 def findings(vehicle, driver: Driver, numbers: str, folder: Path) -> tuple[set[str], str]:

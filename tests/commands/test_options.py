@@ -107,7 +107,7 @@ REFUSED = [
     ("sim.bump --controller I --logs /dev/null", "/dev/null", "folder"),
     ("sim.drive", "no controller is given"),
     ("sim.drive --controller I --class I", "unknown road class 'I'"),
-    ("sim.drive --controller I --seed 1.5", "'1.5' is not a whole number"),
+    ("sim.drive --controller I --seed 1.5", "'1.5' is not an integer"),
     ("sim.drive --controller I --seed -1", "seed = -1"),
     ("sim.drive --controller I --road gravel", "unknown road 'gravel'"),
     ("sim.drive --controller I --road pothole:length=0.01:edge=0.005", "two timesteps"),

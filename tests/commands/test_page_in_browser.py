@@ -29,7 +29,7 @@ def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:
     """Returns what is wrong with each page, by how it is read."""
     command = ["node", str(READER), str(node_modules), str(BROWSER), *map(str, pages)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=900)
     return json.loads(done.stdout)
 
 

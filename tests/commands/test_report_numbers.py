@@ -292,7 +292,7 @@ def test_sample_period_is_checked_first(tmp_path, monkeypatch):
     """A timestep that does not divide the controller's sample period is refused in a line, before any design."""
     monkeypatch.setattr("synth.vehicle.designer.Designer.design", None)
     file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\n")
-    with pytest.raises(InputError, match=r"sample_period = 0\.005 s is no multiple of the timestep, 0\.002 s"):
+    with pytest.raises(InputError, match=r"sample_period = 0\.005 s is not a multiple of the timestep, 0\.002 s"):
         report(["--vehicle", file, "--timestep", "0.002", "--out", str(tmp_path / "r.html")])
 
 

@@ -121,7 +121,7 @@ def test_a_law_that_does_not_follow_the_road(tmp_path):
     assert main([*options, "--logs", str(tmp_path / "logs")]) == 0
     (log,) = (tmp_path / "logs").glob("*.mcap")
     recorded = read_log(log)
-    linear, mine = recorded.result["sweeps"]
+    linear, mine = json.loads(recorded.attachments["result.json"])["sweeps"]
     assert linear["norm"]["sampled"] > 0
     assert (mine["controller"], mine["law"], mine["norm"], mine["failures"]) == ("mine", "mine.py:step", None, [])
     assert max(mine["signals"]["control_force"]["outside"]) > 0.99

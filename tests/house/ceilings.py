@@ -24,41 +24,41 @@ TABLE = """
 what all commands share: files, options, checks, tables of numbers   2366   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
-vehicle file, types, equations, MJCF                           4836   1402    308
+vehicle file, types, equations, MJCF                           4831   1402    197
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
-    docs/tutorials/your-own-car.md docs/how-to/{limits-and-implementation,new,vehicles-that-ship,your-own-vehicle}.md
-laws and families in files                                      242    330     13
-    models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
+    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
+laws and families in files                                      242    330     92
+    models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     153    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  598    694    142
-    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py docs/how-to/a-law-in-python.md
-    docs/how-to/any-controller.md tests/claims/test_any_controller.py
-custom vehicle types                                            185    329    121
-    models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/your-own-kind.md
-semi-active dampers and laws                                   1581   1028    128
+laws in Python                                                  598    694     99
+    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
+    docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
+custom vehicle types                                            185    329    123
+    models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
+semi-active dampers and laws                                   1568   1008    140
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_{dampers,laws_held,measured_dampers}.py tests/*/test_semi_active*.py
-    docs/how-to/{adjustable-dampers,semi-active-laws}.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1669   1132     26
+    docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
+curves of dampers and springs, statistical linearisation       1669   1133     37
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
-    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/curves.md
+    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      403    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      815   1557     37
-    models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/roll-centres.md
+loads, links, tyre damping                                      814   1557     50
+    models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1084    977      0
+measured roads, rigs, OpenCRG, IRI                             1082    977      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1676    613     90
+analytic and random roads                                      1674    613     89
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py tests/models/test_roads.py
-    docs/how-to/a-road-in-python.md
-preview, LQR, LQG, H2                                           640    653     40
+    docs/how-to/custom-roads.md
+preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
 anti-windup, integrals, compatible options                      400   1105      0
@@ -66,87 +66,89 @@ anti-windup, integrals, compatible options                      400   1105      
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    361      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
-goals, families, trade-off front                               4559   1670    177
+goals, families, trade-off front                               4555   1670    126
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
-    docs/how-to/{bands-and-families,goals,many-vehicles,proofs-of-goals,trade-off}.md
-uncertainty: fragility, mu, boxes                              2853    932     55
+    docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
+uncertainty: fragility, mu, boxes                              2853    932     61
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
-    docs/how-to/errors-by-frequency.md
-sampled data: norm, bound, designs, rates                      2378   1452     61
+    docs/how-to/robustness.md
+sampled data: norm, bound, designs, rates                      2378   1452    111
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
-    tests/*/test_{sampled_*}.py docs/{how-to/the-sampled-loop,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3622   1427    111
+    tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
+export: C99, fixed point, FMI, MATLAB                          3284   1424     90
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                          1007    727    121
-    synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/controllers-with-states.md
+full-order H-infinity                                          1007    727    113
+    synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2009    760      0
+static search, descent, refine                                 2009    761      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
-two steps, LMI path                                            2691   1002     40
+two steps, LMI path                                            2691   1002     35
     synth/design/{__init__,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_feedback,sdp,structured_barrier,unobservable}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
-certificates, norms, lower bounds                              3325   2265     69
+certificates, norms, lower bounds                              3325   2237     66
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              2249   1817    211
+plant algebra, filters, any plant                              2249   1817    318
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
-    docs/how-to/{a-discrete-plant,a-template-for-comfort,any-plant,designs-with-filters,python-control,weights-by-frequency}.md
-synth command, controller record, designer                     3143    638    141
+    docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
+synth command, controller record, designer                     3147    638    151
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
-log re-verification                                            1045    600     44
+log re-verification                                             844    600     42
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2261   1135     52
-    sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/{record-and-open,what-is-in-a-log}.md
+recordings: MCAP, Foxglove, Rerun                              2213   1135     45
+    sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               5769   1722     90
+page and figures                                               5769   1722     79
     sim/report/* models/figures/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      3029   1654    141
+campaigns                                                      2479   1618    167
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               857    405     30
-    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py docs/how-to/gallery.md
-margins in physics                                             2578    876     77
-    sim/margins.py sim/studies/stability/* sim/command/margins_options.py tests/*/test_margins*.py docs/how-to/margins.md
+gallery of papers                                               853    405     49
+    sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
+    docs/explanation/verification.md
+margins in physics                                             2566    876     66
+    sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1916    581     30
-    sim/sweep.py sim/studies/frequency/* sim/command/sweep_options.py tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2268   1123      0
+frequency, sweep                                               1886    581     37
+    sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
+ride metrics and their expectation                             2272   1123      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-map of validity                                                 967    313     35
-    sim/envelope.py sim/studies/validity/* sim/command/envelope_options.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2180    867     10
-    sim/physics/{__init__,drivers,energy,run_blocks,sensor_readout,simulate,stepping}.py docs/explanation/energy-balance.md
-    tests/*/test_{energy,hardware,reality,shares}.py
+map of validity                                                 952    313     30
+    sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
+MuJoCo loop                                                    1694    867     11
+    sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
+    tests/*/test_{energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                               1046    418      0
     sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3133    937     51
+runs, verdict, their text                                      3129    937     60
     sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1151   1043    330
+commands that drive                                            1120   1043    350
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
-    sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
+    sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3499    986
-    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,shared,sources}.py
-    tests/*/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
+house, pages, benchmarks                                          0   3725   1520
+    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
+    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
-    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md
+    docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
+    docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
 """
 
 

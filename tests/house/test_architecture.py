@@ -60,12 +60,12 @@ ROOMS = {
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
     "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
-    "sim.bump": "sim.command",
+    "sim.bump": "models.roads models.vehicle sim.command",
     "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
     "sim.drive": "sim.command",
-    "sim.envelope": "models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
+    "sim.envelope": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
     "sim.gallery": "sim.studies",
     "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
@@ -76,7 +76,8 @@ ROOMS = {
     "sim.report": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
-    "sim.sweep": "models.figures models.vehicle synth.controller synth.vehicle sim.command sim.linear sim.runs sim.studies",
+    "sim.sweep": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.linear "
+    "sim.runs sim.studies",
     "sim.__main__": "",
 }
 OF_ALL = "models.common"
@@ -106,9 +107,9 @@ OWNERS = {
         "models/suspension/curve_actuators.py",
         "sim/physics/sensor_readout.py",
         "sim/physics/run_blocks.py",
-        "sim/physics/stepping.py",
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
+        "sim/recording/scene.py",
     },
     "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/log.py"},
     "mcap_protobuf": {"sim/recording/mcap_writer.py"},
@@ -124,6 +125,7 @@ OWNERS = {
     "cloudpickle": {"models/kinds/kind.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
+        "sim/campaign/columns.py",
         "sim/campaign/store.py",
         "sim/campaign/verify.py",
         "sim/recording/rerun_contents.py",

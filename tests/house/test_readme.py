@@ -31,7 +31,7 @@ from tests.support.pages import ROOT, section, site
 
 @pytest.fixture
 def hopper(tmp_path):
-    """The vehicle of "Add your own kind of vehicle", its three files written to a folder of its own."""
+    """The vehicle of "Add a custom vehicle type", its three files written to a folder of its own."""
     return pages.hopper(tmp_path)
 
 
@@ -89,7 +89,7 @@ def test_unknown_kind_is_named(hopper):
 
 def test_any_plant(capsys):
     """The plant from matrices is designed and certified, in every way of the snippet."""
-    (snippet,), (text,) = site("Any plant").blocks("python"), site("Any plant").blocks("text")
+    (snippet,), (text,) = site("Design for any").blocks("python"), site("Design for any").blocks("text")
     exec(snippet, {})
     out = capsys.readouterr().out
     assert out.startswith(text)
@@ -122,20 +122,23 @@ def test_a_saved_certificate_is_checked_with_numpy_alone(tmp_path, monkeypatch, 
 
 def test_plants_from_python(capsys):
     """The sampled loop's norm is its design's, a discrete plant's is above its lower bound, and many vehicles have a gain."""
-    exec(section("docs/how-to/the-sampled-loop.md", "From Python").blocks("python")[0], {})
+    exec(section("docs/how-to/sampled-data-design.md", "From Python").blocks("python")[0], {})
     norm, bound, _, same, *_ = map(float, capsys.readouterr().out.split())
     assert bound <= norm == pytest.approx(same, rel=1e-7)  # both to 1e-8
-    exec(site("A discrete plant").blocks("python")[0], {})
+    exec(site("Discrete plants").blocks("python")[0], {})
     norm, bound = map(float, capsys.readouterr().out.split()[-2:])
     assert 0 < bound <= norm
     exec(site("Many vehicles").blocks("python")[0].replace("1.3, 100)", "1.3, 4)"), {})  # four of the hundred say as much
     assert capsys.readouterr().out.startswith("[[")
+    exec(site("Bands and families").blocks("python")[0] + site("Design a preview").blocks("python")[0], {})
+    worst, proved, value, level, agrees, _ = capsys.readouterr().out.split()[1:]
+    assert (float(worst) < float(proved), float(value) < float(level), agrees) == (True, True, "True")
 
 
 def test_laws_with_states(tmp_path, capsys):
     """The law in matrices, the one of a MATLAB file and the system of python-control are one controller, certified."""
-    parts = ("Controllers with states", "A law from MATLAB")
-    snippets = [block for part in parts for block in site(part).blocks("toml")]
+    parts = (*pages.sections("docs/how-to/dynamic-controllers.md"), site("Load a MAT-file"))
+    snippets = [block for part in parts for block in part.blocks("toml")]
     (tmp_path / "car.toml").write_text("\n".join([read_vehicle("quarter_car").text, *snippets]), encoding="utf-8")
     savemat(tmp_path / "mine.mat", {"A": -0.5, "B": [[0.0, 1.0]], "C": -2000.0, "D": [[11000.0, 0.0]], "Ts": 0.0})
     asked = ["--controller", "leaky", "--controller", "of_matlab"]
@@ -143,7 +146,7 @@ def test_laws_with_states(tmp_path, capsys):
     one, other = json.loads(capsys.readouterr().out)["controllers"]
     assert {**one, "name": ""} == {**other, "name": ""}
 
-    snippet, _ = site("Controllers of python-control").blocks("python")
+    snippet, _ = site("Convert python-control systems").blocks("python")
     exec(snippet, {})
     printed = capsys.readouterr().out
     assert float(printed.split()[0]) == one["norm"]
@@ -153,9 +156,9 @@ def test_laws_with_states(tmp_path, capsys):
 def test_functions_and_roads_from_python(capsys):
     """Laws and roads that are written in Python are driven and agree; a gain of python-control does as its certified one."""
     for snippet in (
-        *section("docs/how-to/a-law-in-python.md", "A function in Python").blocks("python"),
-        *(block for one in pages.sections("docs/how-to/a-road-in-python.md") for block in one.blocks("python")),
-        site("Controllers of python-control").blocks("python")[1],
+        *section("docs/how-to/python-control-laws.md", "Pass a function").blocks("python"),
+        *(block for one in pages.sections("docs/how-to/custom-roads.md") for block in one.blocks("python")),
+        site("Convert python-control systems").blocks("python")[1],
     ):
         exec(compile(snippet, "page", "exec"), {"__name__": "page"})
     *lines, _ = capsys.readouterr().out.splitlines()
@@ -176,7 +179,7 @@ def test_a_road_that_gives_no_heights_is_named(height):
 def test_vehicle_file_snippets():
     """The controllers, limits and implementation are accepted in a vehicle file."""
     snippets = [
-        *site("Your own vehicle").blocks("toml"),
+        *section("docs/tutorials/your-own-car.md", "Add a controller").blocks("toml"),
         *site("Limits").blocks("toml"),
     ]
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + "\n".join(snippets))
@@ -187,7 +190,7 @@ def test_vehicle_file_snippets():
 
 def test_curves_snippet(tmp_path):
     """The curves are read where nothing else gives their parameters, and are what the text says of them."""
-    (snippet,) = site("Curves of dampers").blocks("toml")
+    (snippet,) = site("Springs and dampers").blocks("toml")
     (tmp_path / "spring.csv").write_text("deflection [mm], force [kN]\n-80, -1.4\n0, 0\n90, 1.2\n")
     lines = read_vehicle("quarter_car").text.splitlines()
     kept = [line for line in lines if not line.startswith(("suspension_damping =", "suspension_stiffness ="))]

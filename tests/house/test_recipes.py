@@ -47,7 +47,7 @@ def test_add_a_road_and_a_command(tmp_path):
         ("sim/__main__.py", margins, f'    ("sim.modes", "{purpose}", "--json"),\n'),
         ("tests/house/ceilings.py", "margins in physics  ", budget),
         ("README.md", "| `roadproof margins`", f"| `roadproof modes` | {purpose} | - |\n"),
-        ("docs/how-to/index.md", "margins\n", "modes\n"),
+        ("docs/how-to/analyse.md", "margins\n", "modes\n"),
         ("tests/claims/test_any_controller.py", '"sim.bump": [*SHORT', '"sim.modes": [], '),
         ("tests/claims/test_any_controller.py", '"sim.envelope", "sim.margins"}', '"sim.modes", '),
     ):

@@ -1,10 +1,12 @@
-"""The site: its pages are found, its reference has every command and every key, and its notebook runs; Sphinx is not needed."""
+"""Tests of the site: pages are found, the reference has every command and key, and examples run. Sphinx is not needed."""
 
 import contextlib
 import io
 import json
+import posixpath
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,12 +16,28 @@ from models.common.errors import InputError
 from models.vehicle.controllers import CONTROLLER_KEYS
 from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS
 from models.vehicle.vehicle import SECTIONS
-from sim.__main__ import COMMANDS
+from sim.__main__ import COMMANDS, VERBS
 from tests.support.commands import main_of
 from tests.support.pages import GENERATED, PAGES, PICTURES, ROOT, SITE, page
 
 DOCS = ROOT / "docs"
 NOTEBOOK = DOCS / "tutorials" / "notebook.ipynb"
+FIRST_ADDRESSES = """
+index questions which-command glossary gallery reference
+tutorials/index tutorials/first-bump tutorials/your-own-car tutorials/semi-active-damper tutorials/reading-a-report
+tutorials/notebook explanation/index explanation/control-problem explanation/bound-norm-lower-bound
+explanation/agrees-and-ended explanation/energy-balance explanation/sampled-and-continuous explanation/not-modelled
+how-to/index how-to/a-discrete-plant how-to/a-law-from-matlab how-to/a-law-in-python how-to/a-road-in-python
+how-to/a-template-for-comfort how-to/adjustable-dampers how-to/any-controller how-to/any-plant how-to/bands-and-families
+how-to/bump how-to/campaign how-to/controllers-with-states how-to/curves how-to/designs-with-filters how-to/drive
+how-to/envelope how-to/errors-by-frequency how-to/export how-to/gallery how-to/goals how-to/inspect
+how-to/limits-and-implementation how-to/many-vehicles how-to/margins how-to/new how-to/preview how-to/proofs-of-goals
+how-to/python-control how-to/record-and-open how-to/report how-to/roll-centres how-to/semi-active-laws how-to/sweep
+how-to/synth how-to/the-sampled-loop how-to/trade-off how-to/tune-a-law how-to/vehicles-that-ship
+how-to/weights-by-frequency how-to/what-is-in-a-log how-to/your-own-kind how-to/your-own-vehicle
+reference/commands reference/vehicle-file reference/what-goes-together reference/signals reference/roads reference/metrics
+reference/messages reference/logs reference/models reference/synth reference/sim
+"""  # of the first site, to which other sites may link
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +52,55 @@ def test_every_page_is_in_a_table_of_contents(made):
     for name in SITE:
         for block in re.findall(r"^```\{toctree\}\n(.*?)^```", page(name), re.M | re.S):
             folder = (ROOT / name).parent
-            entries += [(folder / line).relative_to(DOCS).as_posix() for line in block.splitlines() if re.match(r"\w", line)]
-    there = {Path(name).relative_to("docs").with_suffix("").as_posix() for name in SITE}
-    assert sorted(entries) == sorted((there | {*made, "reference/logs"}) - {"index"})
+            named = [line for line in block.splitlines() if line and not line.startswith(":")]
+            entries += [posixpath.normpath((folder / line).relative_to(DOCS).as_posix()) for line in named]
+    assert sorted(entries) == sorted(addresses(made) - {"index"})
     assert all(f"docs/{name}.md".startswith(GENERATED) for name in (*made, "reference/logs"))
+    assert all(f"docs/{name}".startswith(GENERATED) for name in generate.drawings())
+
+
+def addresses(made) -> set[str]:
+    """The addresses of all pages, below `docs/` without suffix."""
+    return {Path(name).relative_to("docs").with_suffix("").as_posix() for name in SITE} | {*made, "reference/logs"}
+
+
+def test_old_addresses_lead_somewhere(made):
+    """Every address that the site ever had is a page, or has moved to one."""
+    there = addresses(made)
+    assert {one for one in FIRST_ADDRESSES.split() if generate.MOVED.get(one, one) not in there} == set()
+    assert {new for new in generate.MOVED.values() if new not in there} == set()
+    assert {old for old in generate.MOVED if old in there} == set()
+    for file, text in generate.redirects().items():
+        (to,) = re.findall(r'<a href="([^"]+)">', text)
+        assert f'content="0; url={to}"' in text
+        assert posixpath.normpath(posixpath.join(posixpath.dirname(file), to)).removesuffix(".html") in there
+
+
+def test_pages_named_in_the_code_are_there():
+    """Every page that help, messages and vehicle files name is a file."""
+    files = [
+        path for folder in ("models", "synth", "sim") for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".toml")
+    ]
+    named = {one for path in files for one in re.findall(r"\bdocs/[\w/-]+\.md\b", path.read_text(encoding="utf-8"))}
+    assert len(named) > 3
+    assert {one for one in named if not (ROOT / one).exists()} == set()
+
+
+def test_the_table_of_extras_is_complete():
+    """The page on installation lists the extras of `pyproject.toml`, each once."""
+    there = tomllib.loads(page("pyproject.toml"))["project"]["optional-dependencies"]
+    rows = re.findall(r"^\| (`.*?) \|", page("docs/start/installation.md"), re.M)
+    assert sorted(re.findall(r"`([\w-]+)`", " ".join(rows))) == sorted(there)
+
+
+def test_the_quick_start_prints_what_it_shows(capsys):
+    """The snippets of the quick start run one after the other, and print the text below each."""
+    names: dict[str, object] = {"__name__": "page"}
+    blocks = re.findall(r"^```python\n(.*?)^```\n```text\n(.*?)^```", page("docs/start/python-quick-start.md"), re.M | re.S)
+    assert len(blocks) == 5
+    for snippet, text in blocks:
+        exec(compile(snippet, "page", "exec"), names)
+        assert capsys.readouterr().out == text
 
 
 def test_every_command_and_option_has_an_entry(made):
@@ -112,11 +175,11 @@ def test_the_home_page_begins_with_a_car_over_a_bump():
 
 
 def test_every_command_of_the_questions_is_one():
-    """Each command within the sentences of the questions is taken by its parser."""
-    commands = re.findall(r"`python -m ([^`]+)`", page("docs/questions.md").replace("\n", " "))
+    """Each command in the sentences of the questions is accepted by its parser."""
+    commands = re.findall(r"`roadproof ([^`]+)`", page("docs/questions.md").replace("\n", " "))
     assert len(commands) > 12
-    for name, *arguments in map(shlex.split, commands):
-        generate.parser_of(name).parse_args(arguments)
+    for verb, *arguments in map(shlex.split, commands):
+        generate.parser_of(VERBS[verb]).parse_args(arguments)
 
 
 def test_the_notebook_runs(tmp_path, monkeypatch, made):

@@ -4,6 +4,7 @@
 # MuJoCo's bindings carry no type stubs.
 
 import dataclasses
+import json
 import re
 
 import mujoco
@@ -369,7 +370,7 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     assert main([*arguments, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert "suspension_velocity" in read_log(log).result["runs"][0]["signals"]
+    assert "suspension_velocity" in json.loads(read_log(log).attachments["result.json"])["runs"][0]["signals"]
     vehicle = read_vehicle(tmp_path / "mine.toml")
     (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()

@@ -72,7 +72,7 @@ def test_the_exact_response(text, far, more):
 
 def test_what_would_feed_energy_in():
     """A digressive curve beside a damper that may be softer than the curve falls is refused in a line; friction is not."""
-    with refused("suspension_damping adds to an adjustable damper, whose softest setting then feeds energy in at -1.5 m/s"):
+    with refused("suspension_damping adds to a semi-active damper, whose softest setting then feeds energy in at -1.5 m/s"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=DIGRESSIVE) + DAMPER)
     falling = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-2000, -1000, 0, 500, 600] }"
     with pytest.raises(InputError, match=r"at 0\.5 m/s; give only the line and the friction"):

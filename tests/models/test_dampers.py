@@ -99,7 +99,7 @@ def runs(text, *names, road: Road = BUMP, duration=0.8):
     ("old", "new", "said"),
     [
         ('"damper"', '"valve"', r"kind = 'valve' is not known; known: damper, force"),
-        ("c_min = 300.0", "", "c_min is missing; an adjustable damper has c_min and c_max"),
+        ("c_min = 300.0", "", "c_min is missing; a semi-active damper has c_min and c_max"),
         ("c_min = 300.0", "c_min = 4000.0", r"c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
         ("c_min = 300.0", "c_min = nan", r"c_min = nan is not allowed; give a number from 0 to"),
         ("c_min = 300.0", "c_min = 1100.0", "suspension_damping = 1000 N s/m, which acts if no force is commanded, is not among"),
@@ -111,7 +111,7 @@ def runs(text, *names, road: Road = BUMP, duration=0.8):
             "is not a suspension of this vehicle",
         ),
         ('kind = "damper"\n', "", r'has c_min without kind = "damper"'),
-        ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is of actuators that push"),
+        ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is for force actuators"),
     ],
 )
 def test_bad_dampers(old, new, said):

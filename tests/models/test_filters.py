@@ -306,7 +306,7 @@ def test_no_second_witness_with_filters(tmp_path):
 BAD = [
     ("unknown name", 'sprung_acceleration = { filter = "iso2631_wz" }', ["'iso2631_wz'", '"iso2631_wk"', "numerator"]),
     ("name and numerator", 'sprung_acceleration = { filter = "iso2631_wk", numerator = [1.0] }', ["by name and a numerator"]),
-    ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is no filter", "falling powers of s"]),
+    ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is not a filter", "falling powers of s"]),
     ("unknown key", 'sprung_acceleration = { filter = "iso2631_wk", gain = 2 }', ["unknown key 'gain'", "weight"]),
     ("improper", "sprung_acceleration = { numerator = [1.0, 0.0], denominator = [2.0] }", ["degree 1", "differentiates"]),
     ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["not stable"]),
@@ -319,7 +319,7 @@ BAD = [
     ("fast", "sprung_acceleration = { numerator = [1.0], denominator = [1e-9, 1.0] }", ["pole of 1e+09 rad/s"]),
     ("loud", "sprung_acceleration = { numerator = [1e30], denominator = [1.0, 1.0] }", ["its gain is"]),
     ("bad weight", 'sprung_acceleration = { weight = -1, filter = "iso2631_wk" }', ["= -1 is not allowed", "weight"]),
-    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is no filter"]),
+    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a filter"]),
     ("road with a weight", "road = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] }", ["no weight"]),
     ("road, unstable", "road = { numerator = [1.0], denominator = [-1.0, 1.0] }", ["[performance] road", "not stable"]),
 ]

@@ -253,7 +253,7 @@ def test_messages_name_the_file(tmp_path):
     file = tmp_path / "car.toml"
     alone = '[controllers.one]\nmeasured = ["sprung_acceleration"]\ngain = [[504.5]]\n'  # I - D_c D is zero
     file.write_text(built(section=alone).text)
-    with pytest.raises(InputError, match=re.escape(f"vehicle file {file}: [controllers.one] its force acts on what it")):
+    with pytest.raises(InputError, match=re.escape(f"vehicle file {file}: [controllers.one] its force acts on its measurements")):
         main(["--vehicle", str(file), "--controller", "one"])
 
 

@@ -143,7 +143,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     file = vehicle_with(tmp_path, mat(LAW))
     monkeypatch.chdir(tmp_path)
     for folder in (None, tmp_path):
-        with pytest.raises(InputError, match="its file is read beside a vehicle file, and this is text from elsewhere"):
+        with pytest.raises(InputError, match="its file must be next to a vehicle file, and this text is not from a file"):
             parse_vehicle(file.read_text(), folder=folder)
 
 
@@ -153,8 +153,8 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
         ({"A": A}, "B, C, D is missing in the file"),
         (LAW | {"K": 1.0}, "the file has K and A, B, C, D; keep"),
         ({"one": LAW, "two": LAW}, "contains more than one controller, in the struct one and the struct two"),
-        ({"x": 1.0}, "contains no A, B, C, D, and no K; it has x:"),
-        ({}, "contains no A, B, C, D, and no K; it has nothing:"),
+        ({"x": 1.0}, "contains neither A, B, C, D nor K, but x:"),
+        ({}, "contains neither A, B, C, D nor K, but nothing:"),
         (LAW | {"A": 1j * A}, "A has complex entries"),
         (LAW | {"B": B * np.nan}, "B has an entry that is not finite"),
         (LAW | {"A": "text"}, "A is text"),

@@ -503,7 +503,7 @@ def test_campaigns_know_loads_of_files(tmp_path):
     with pytest.raises(InputError, match="holds another campaign, of other files"):
         campaign([str(file), "--results", str(folder)])
     file.write_text(text.replace('"road.csv"]', '"flat + ./push.csv+lift:force=100"]'))
-    with pytest.raises(InputError, match="are the same; name each once"):
+    with pytest.raises(InputError, match="are the same; list each once"):
         campaign([str(file), "--results", str(tmp_path / "other")])
 
 

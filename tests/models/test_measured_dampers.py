@@ -240,7 +240,7 @@ def test_what_else_is_refused():
     with pytest.raises(InputError, match=r"suspension_damping = 700 N s/m, .* not among the 833.333 to 6000 N s/m"):
         parse_vehicle(QUARTER.replace("suspension_damping = 1000.0", "suspension_damping = 700.0") + PAIR)
     falling = "{ velocity = [-1.5, -0.2, 0.0, 0.2, 1.5], force = [-250, -200, 0, 200, 250] }"
-    with pytest.raises(InputError, match=r"adds to an adjustable damper, .* feeds energy in"):
+    with pytest.raises(InputError, match=r"adds to a semi-active damper, .* feeds energy in"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + PAIR)
     told = '[controllers.told]\nmeasured = ["sprung_acceleration", "control_force"]\ngain = [[-500.0, 0.1]]\n'
     with pytest.raises(InputError, match="measures control_force, and no sensor tells it of a damper with curves"):

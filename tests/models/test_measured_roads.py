@@ -319,7 +319,7 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
     [
         ("0,0\n1,0\n2,1e5\n3,0\n", "3 m in steps of 1 m, heights from 0 to 1e+05 m: an rms slope of 8.16e+04, steeper"),
         ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m: an rms slope of 18.7, steeper than any"),
-        ("0,0\n1,20\n2,-10\n3,0\n", "distances in km, or heights in mm? then say :distance_unit=km or :height_unit=mm"),
+        ("0,0\n1,20\n2,-10\n3,0\n", "if distances are in km, or heights in mm, add :distance_unit=km or :height_unit=mm"),
     ],
 )
 def test_no_road_is_that_steep(tmp_path, rows, said):
@@ -447,5 +447,5 @@ def test_opencrg_between_its_lines(tmp_path):
         first = [float(again.uv_to_z(np.array([start]), np.array([y]))[0]) for y in (0.755, -0.755)]
         for side, heights in tracks.items():
             assert road.displacement((u - start) / V, side) == pytest.approx(heights - np.mean(first), abs=1e-9)
-    with refused("OpenCRG file says its own units", "'join=smooth' is not NAME=VALUE with a NAME out of from"):
+    with refused("OpenCRG file contains its own units", "'join=smooth' is not NAME=VALUE with a NAME out of from"):
         choose_road("road.crg:join=smooth", tmp_path)

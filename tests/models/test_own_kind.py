@@ -94,7 +94,7 @@ def test_it_goes_to_other_processes(folder):
         ('return {"tyre_deflection"', 'return {"tyre"', r"gives tyre; give one number for each of tyre_deflection"),
         ('return {"tyre_deflection": p', 'return {"tyre_deflection": -p', r"= -0\.01308 is not allowed; give a number above 0"),
         ('spec.body("sprung")', 'spec.body("nobody")', r"write_mjcf fails \(AttributeError: .*line \d+\)"),
-        ('mass = p["mass"]', 'mass = float("nan")', r"MuJoCo does not take what write_mjcf makes of the MJCF"),
+        ('mass = p["mass"]', 'mass = float("nan")', r"MuJoCo rejects the MJCF with the changes of write_mjcf"),
     ],
 )
 def test_equations_that_do_not_work(folder, old, new, said):
@@ -153,10 +153,10 @@ def test_parts_that_do_not_fit(folder, part, value, said):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("</mujoco>", "", r"MuJoCo does not take it \(.*XML"),
-        ('site="sprung"', 'site="nowhere"', r"MuJoCo does not take it \(.*nowhere"),
+        ("</mujoco>", "", r"MuJoCo rejects it \(.*XML"),
+        ('site="sprung"', 'site="nowhere"', r"MuJoCo rejects it \(.*nowhere"),
         (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations name"),
-        (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is no direction"),
+        (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is not a direction"),
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuator\(s\), and the equations 1"),
         ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"actuator 'fitted_1'; call it otherwise"),

@@ -265,7 +265,7 @@ def test_linear_controllers_are_the_same_beside_it(tmp_path):
 
 def test_documented_law_is_driven(tmp_path, capsys):
     """The law of its page, as it stands there, is driven and recorded, and agrees."""
-    page = site("A law in Python")
+    page = site("Write a control law in Python")
     (entry,), (text,) = page.blocks("toml"), page.blocks("python")
     (tmp_path / "skyhook.py").write_text(text, encoding="utf-8")
     car = tmp_path / "car.toml"
@@ -388,7 +388,7 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "other.py:step"', "there is no such file"),
         ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain with law: a controller has one law"),
         ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
-        ("preview = 1.0", "preview is what a law in Python is told"),
+        ("preview = 1.0", "preview is the road ahead that a law in Python receives"),
     ],
 )
 def test_what_the_file_may_say(tmp_path, line, said):

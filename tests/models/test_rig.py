@@ -159,7 +159,7 @@ def test_what_is_twice_in_a_campaign(tmp_path):
     written(rig, tmp_path / "other.csv", [*CORNERS[2:], *CORNERS[:2]])
     text = 'vehicles = ["full_car"]\ncontrollers = ["passive"]\nspeeds = [10.0]\nduration = 0.1\n'
     read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=other.csv"]\n'))
-    with pytest.raises(InputError, match="are the same; name each once"):
+    with pytest.raises(InputError, match="are the same; list each once"):
         read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=drive.csv:time_unit=s"]\n'))
 
 
@@ -192,10 +192,10 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (GOOD.replace("rear", "back"), "no column is called rear, after the wheel that would stand on it, but back, front"),
-        (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' is of no wheel of this vehicle"),
+        (GOOD.replace("rear", "back"), "no column is called rear, as its wheel is; the columns are back, front"),
+        (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' does not belong to a wheel"),
         (GOOD.replace("rear", "front"), "two columns are called 'front'"),
-        (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', are of one wheel"),
+        (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', belong to one wheel"),
         (GOOD.replace("front [mm]", "front"), "column 2, 'front', has no unit; allowed: cm, ft, in, km, m, mm; write front [m]"),
         (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit; allowed: ms, s; write time [s]"),
         (GOOD.replace("rear [mm]", "rear [kN]"), "column 3, 'rear [kN]', is in 'kN'; allowed: cm, ft, in, km, m, mm; convert it"),

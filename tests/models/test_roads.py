@@ -501,8 +501,8 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
     [
         ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
         ("iso8608:rough=C", "'rough=C' is not NAME=VALUE"),
-        ("gravel", "unknown road 'gravel'; give iso8608, bump"),
-        ("", "unknown road ''; give iso8608, bump"),
+        ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
+        ("", "unknown road ''; give one of iso8608, bump"),
         ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or one with its unit"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
         (
@@ -516,7 +516,7 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
         ("road.csv:columns=1", "as in columns=1,3"),
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
-        ("road.crg:height_unit=mm", "says its own units"),
+        ("road.crg:height_unit=mm", "contains its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
         ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
         ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
@@ -526,7 +526,7 @@ def test_bad_roads(text, said):
     """A road that is none is refused in one line."""
     with refused(said):
         choose_road(text)
-    with refused("seed = 1.5 is not allowed; give a whole number"):
+    with refused("seed = 1.5 is not allowed; give an integer"):
         Iso8608("C", 1.5)  # pyright: ignore[reportArgumentType]
 
 
@@ -571,7 +571,7 @@ def test_roads_that_cannot_be_driven():
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
-        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "lies under the left side, and a quarter_car has only one track"),
+        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "is under the left side, and a quarter_car has only one track"),
         (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
     ):
         with pytest.raises(InputError, match=words):

@@ -53,7 +53,7 @@ CHANGES = [
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
     ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
-    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "says nothing of the state"]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "does not show the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
     ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
@@ -89,12 +89,12 @@ ADDED = {
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, and nothing clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
         ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
-        ("loads = true", "loads = True is no table"),
+        ("loads = true", "loads = True is not a table"),
         ('loads = { heave_load = 1e3 }\ndesign = "h2"', 'design = "h2" with loads: ', 'choose design = "h2"'),
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is run as it is"),
+        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is used unchanged"),
         ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
@@ -104,7 +104,7 @@ ADDED = {
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, and ", "gives no sample period"),
         ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
-        ("seed = 1.5", "seed = 1.5", "whole number"),
+        ("seed = 1.5", "seed = 1.5", "integer"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
         ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
         ("noise = 1.0", "noise = 1.0 is not a table"),
@@ -133,7 +133,7 @@ ADDED = {
         ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
         (
             'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
-            "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or leave the quotes out",
+            "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or omit the quotes",
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
     ],
@@ -201,8 +201,8 @@ def test_what_is_added_wrongly_is_named(kind, lines, said):
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ("[performance]\n", "weighs nothing"),
-        ("[performance]\nsprung_acceleration = 0.0\n", "weighs nothing"),
+        ("[performance]\n", "has no weight above 0"),
+        ("[performance]\nsprung_acceleration = 0.0\n", "has no weight above 0"),
         ("performance = 1.0\n", "write it as [performance]"),
         ("", "'performance' is missing"),
     ],

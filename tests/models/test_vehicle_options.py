@@ -436,7 +436,7 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
 @pytest.mark.parametrize(
     ("kind", "lines", "words"),
     [
-        ("full_car", "roll_centre_height_front = 0.1", ["roll_centre_height_rear is not", "give both, or none"]),
+        ("full_car", "roll_centre_height_front = 0.1", ["roll_centre_height_rear is not", "give both, or neither"]),
         ("full_car", f"{ON_THE_GROUND}\ncentre_height = 3.0", ["falls over as it rolls", "N m/rad", "stiffer", "roll centres"]),
         ("half_car", "pitch_centre_height = -2.0\ncentre_height = 30.0", ["falls over as it pitches", "pitch centre"]),
         ("half_car", ON_THE_GROUND, ["only heaves and pitches", "take a full_car"]),

@@ -37,7 +37,7 @@ def test_sizes_of_units(text, unit, value):
 @pytest.mark.parametrize(("text", "unit", "said"), [
     ("380 N", "kg", "key = '380 N' has the unit 'N', and a unit of kg is expected, as in \"1.5 kg\""),
     ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', and a unit of m is expected, as in \"1.5 m\""),
-    ("5 m", "1", "key = '5 m' has the unit 'm', and a pure number is expected; leave the unit out, as in \"1.5\""),
+    ("5 m", "1", "key = '5 m' has the unit 'm', and a pure number is expected; omit the unit, as in \"1.5\""),
     ("heavy", "kg", "key = 'heavy' is not a number; give a number in kg, or one with its unit"),
     ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', and a unit of m/s is expected, as in \"1.5 m/s\""),
     ("504,5 kg", "kg", "key = '504,5 kg' has a decimal comma; write a decimal point, as in \"1.5 kg\""),
@@ -51,7 +51,7 @@ def test_wrong_units(text, unit, said):
 
 
 @pytest.mark.parametrize(("delay", "said"), [
-    ('"0.5"', "delay = '0.5' has no unit; add it, as in \"1.5 s\", or leave the quotes out"),
+    ('"0.5"', "delay = '0.5' has no unit; add it, as in \"1.5 s\", or omit the quotes"),
     ('"0,5 ms"', "delay = '0,5 ms' has a decimal comma; write a decimal point, as in \"1.5 s\""),
 ])  # fmt: skip
 def test_a_text_in_a_file_needs_its_unit(delay, said):

@@ -29,8 +29,8 @@ from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import exported_law
-from synth.controller.export.compiled import ExportedCode, driven_by
-from synth.controller.export.fixed_source import source_of
+from synth.controller.export.c_source import CSource
+from synth.controller.export.compiled import ExportedCode
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
@@ -49,7 +49,7 @@ actuator_force = 150.0
 def coded(vehicle: Vehicle, driver: Driver, numbers: str, ranges: dict[str, float] | None = None) -> Driver:
     """Returns a controller that its exported code drives."""
     law = exported_law(vehicle, driver, numbers, "law", ranges)
-    return driven_by(driver, ExportedCode(law, source_of(law, "0" * 64).files, numbers))
+    return dataclasses.replace(driver, code=ExportedCode(law, CSource(law, "0" * 64).files, numbers))
 
 
 def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:
@@ -120,7 +120,7 @@ def test_code_of_another_law_does_not_agree(numbers):
     law, on = given(vehicle, "I"), road_under(vehicle, 1.0, 1)
     wrong = coded(vehicle, dataclasses.replace(law, law=law.law.scaled(1.02)), numbers)
     code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
-    (run,) = run_controllers(vehicle, [driven_by(law, code)], on.road, on.time)
+    (run,) = run_controllers(vehicle, [dataclasses.replace(law, code=code)], on.road, on.time)
     assert not run.passed
     assert "DOES NOT AGREE: the code moves" in prose(" ".join(verdict_lines(run)))
 
@@ -171,7 +171,7 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert ("the run with the law itself agrees with the exact sampled response" in said) == (numbers == "float")
-    assert "come out as they were logged, to the last bit" in said
+    assert "come out as they were logged, bit for bit" in said
 
 
 CAMPAIGN = """vehicles = ["car.toml"]

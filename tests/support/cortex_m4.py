@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from synth.controller.export.c_law import ExportedLaw
-from synth.controller.export.fixed_source import source_of
+from synth.controller.export.c_source import CSource
 
 PACKAGES = ("ziglang", "unicorn", "elftools")
 TARGET = "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -fcompiler-rt -O ReleaseFast -fentry=entry"
@@ -73,7 +73,7 @@ def _built(law: ExportedLaw, folder: Path) -> Path:
         f"{{(function){p}_init, (function){p}_steps}};\n"
         "void entry(void);\nvoid entry(void) { for (;;) { (void)kept[0]; } }\n"
     )
-    for name, text in {**source_of(law, "0" * 64).files, "entry.c": entry}.items():
+    for name, text in {**CSource(law, "0" * 64).files, "entry.c": entry}.items():
         (folder / name).write_text(text)
     flags = ["-femit-bin=program.elf", "-cflags", "-std=c99", "-ffp-contract=off", "--", f"{p}.c", "entry.c"]
     subprocess.run([sys.executable, "-m", "ziglang", "build-exe", *TARGET.split(), *flags], cwd=folder, check=True)

@@ -109,8 +109,8 @@ def site(heading: str) -> Section:
 
 
 def hopper(folder: Path) -> Path:
-    """The vehicle of "Add your own kind of vehicle", its three files written to a folder; the path of the vehicle file."""
-    recipe = site("Add your own kind of vehicle")
+    """The vehicle of "Add a custom vehicle type", its three files written to a folder; the path of the vehicle file."""
+    recipe = site("Add a custom vehicle type")
     for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
         (block,) = recipe.blocks(language)
         (folder / f"hopper.{suffix}").write_text(block, encoding="utf-8", newline="\n")

@@ -172,7 +172,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "is a law in Python, and its own code",
     "those of filters in [performance] never are",
     "no sensor reads the states of filters in [performance]",
-    "is not a whole number; code gives forces at samples",
+    "is not an integer; code gives forces at samples",
     "adjustable dampers with curves are not exported",
     "is not stable at a timestep of",
     "unknown controller 'passive'; give --controller with one of",

@@ -66,7 +66,9 @@ def keep_in(folder: Path) -> None:
 
 
 def made(make: Callable[..., T], *arguments: Any) -> T:
-    """Returns what a function makes of these arguments, made once in a session."""
+    """Returns what a function makes of these arguments, made once in a session; outside a session, made at each call."""
+    if not _folders:
+        return make(*arguments)
     file = _place(make, *arguments).with_suffix(".pickle")
     if not file.exists():
         with FileLock(file.with_suffix(".lock")):
@@ -173,9 +175,9 @@ def share_vehicles() -> None:
     once = functools.cache(original)
 
     @functools.wraps(original)
-    def read(file: str | Path, own_kinds: bool = True) -> Vehicle:
+    def read(file: str | Path) -> Vehicle:
         known = isinstance(file, str) and file in ships and not _patching and not Path(file).is_file()
-        return (once if known else original)(file, own_kinds)
+        return (once if known else original)(file)
 
     for other in list(sys.modules.values()):
         if getattr(other, "__dict__", {}).get("read_vehicle") is original:

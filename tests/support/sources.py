@@ -20,7 +20,8 @@ class Source:
             package are none of them: they are imported when they are first used, by whoever is outside.
         names: every name and attribute in it.
         runs_text: True if it makes code of text.
-        docstrings: of its module, classes and functions.
+        docstrings: docstrings of its module, classes and functions.
+        texts: other texts in it of at least four words: messages, help and output; X replaces what an f-string inserts.
         classes: its public classes.
     """
 
@@ -28,6 +29,7 @@ class Source:
     names: frozenset[str]
     runs_text: bool
     docstrings: tuple[str, ...]
+    texts: tuple[str, ...]
     classes: tuple[str, ...]
 
 
@@ -60,8 +62,23 @@ def _source(path: Path) -> Source:
         frozenset(named),
         not {"exec", "eval", "compile"}.isdisjoint(calls),
         tuple(text for node in documented if (text := ast.get_docstring(node))),
+        tuple(_texts(nodes)),
         tuple(node.name for node in documented if isinstance(node, ast.ClassDef) and not node.name.startswith("_")),
     )
+
+
+def _texts(nodes: list[ast.AST]) -> Iterator[str]:
+    whole = (ast.JoinedStr, ast.Expr)  # an expression alone is a docstring
+    parts = {id(part) for node in nodes if isinstance(node, whole) for part in ast.iter_child_nodes(node)}
+    for node in nodes:
+        if id(node) not in parts and isinstance(node, ast.JoinedStr | ast.Constant) and len((text := _text(node)).split()) > 3:
+            yield text
+
+
+def _text(node: ast.AST) -> str:
+    if isinstance(node, ast.JoinedStr):
+        return "".join(map(_text, node.values))
+    return (node.value if isinstance(node.value, str) else "") if isinstance(node, ast.Constant) else "X"
 
 
 def _imported(path: Path, tree: ast.Module, nodes: list[ast.AST]) -> Iterator[str]:

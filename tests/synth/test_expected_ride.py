@@ -74,7 +74,7 @@ def test_no_ride_of_a_loop_that_is_lost():
 @pytest.mark.attack
 def test_the_comfort_template():
     """The template of the page rides as much better than the passive car as is said there, for the tyre load said there."""
-    page = site("A template for comfort")
+    page = site("Weights for comfort")
     weights, controller = page.blocks("toml")[0].split("\n\n")
     text = read_vehicle("quarter_car").text
     start = text.index("[performance]")

@@ -327,7 +327,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("order = true", "order = True is not known"),
     ("pid = 3.0", "pid = 3.0 is not a table"),
     ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd and no filter"),
-    ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which is of the derivative alone"),
+    ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts on the derivative alone"),
     ("pid = { k = 1.0 }", "pid unknown key 'k'; known: filter, kd, ki, kp"),
     ("pid = { kp = 1.0 }\nA = [[1.0]]", "pid with A: a controller has one law"),
     ("pid = { kp = [1.0, 2.0] }", r"pid.kp = \[1.0, 2.0\] is not allowed; give a number, or a list of 1"),

@@ -73,7 +73,7 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
     assert found.stable.proved_margin == plainly.stable.proved_margin == 1.0
     silent = np.vstack([posed.Cy, 0 * posed.Cy[:1]])
     with pytest.raises(
-        InputError, match=r"row 2 of \[Cy Dyu\] is zero: that signal says nothing of the state or force; leave it out"
+        InputError, match=r"row 2 of \[Cy Dyu\] is zero: the signal contains no information on the state or force; omit the row"
     ):
         scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.feedthrough, [[0.0]]]))
 

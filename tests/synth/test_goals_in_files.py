@@ -95,10 +95,10 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("minimise = { band = [8.0, 4.0] }", "band = [8.0, 4.0] is not allowed"),
         ("minimise = { band = [4.0, inf] }", "minimise band = [4.0, inf] is not allowed; give two frequencies"),
         ('minimise = { signals = "speed" }', "unknown signal 'speed'"),
-        ('minimise = { over = "regret" }', "which is of a family"),
+        ('minimise = { over = "regret" }', "which needs a family"),
         ("minimise = { frequency = 3 }", "unknown key 'frequency'"),
         ("bounds = [{ norm = -1 }]", "norm = -1 is not allowed"),
-        ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is no bound"),
+        ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is not a bound"),
         ("bounds = [{ peak = 'suspension_deflection' }]", "has no at_most"),
         ("bounds = [{ energy_peak = 'suspension_deflection' }]", "has no at_most"),
         ("bounds = [{ energy_peak = 'suspension_deflection', energy = -1, at_most = 1 }]", "energy = -1 is not allowed"),
@@ -162,7 +162,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     assert "--refine" not in capsys.readouterr().out
     with pytest.raises(DesignError, match="goals with --refine: it is static gains of the least norm that are refined"):
         Designer(read_vehicle(path)).refine("goal")
-    with pytest.raises(InputError, match="no L"):
+    with pytest.raises(InputError, match="have an L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
 
 

@@ -106,7 +106,7 @@ def test_what_is_for_static_gains_alone(designer):
     """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
     with pytest.raises(DesignError, match='order = "full" with --refine: it is static gains'):
         designer.refine("full")
-    with pytest.raises(InputError, match="there is no L"):
+    with pytest.raises(InputError, match="only the two steps have an L"):
         designer.design("full", zero_l=True)
     assert designer.worth_refining(designer.design("lqr")) == 0.0
 
@@ -119,8 +119,8 @@ def test_forces_are_taken_out_of_accelerations(designer):
 
 
 def test_pages_example():
-    """The controllers of the page on laws with states can be added to the vehicle that ships, and are stable."""
-    block, *_ = site("Controllers with states").blocks("toml")
+    """The controllers at the top of the page on dynamic controllers work in a built-in vehicle, and are stable."""
+    block, *_ = site("Design dynamic controllers").blocks("toml")
     vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n{block}")
     for name in ("best", "lqg", "leaky"):
         assert Designer(vehicle).design(name).certificate.stable
@@ -217,6 +217,6 @@ def test_the_table_says_what_commands_do(paper, part):
         if goes(command, entry.parts):
             continue
         why = next(refusal(command, each) for each in entry.parts if refusal(command, each))
-        with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
+        with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; omit --{command}"):
             ask("mine")
     assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))

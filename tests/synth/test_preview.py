@@ -319,7 +319,7 @@ def test_a_forged_preview_is_found(log, forged, said):
         ('design = "preview"\npreview = -1', "preview = -1 is not allowed; give seconds from 0 to 60"),
         ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" is of the state'),
         ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: it is of the state itself"),
-        ('design = "lqr"\npreview = 0.5', "preview is what a law in Python is told"),
+        ('design = "lqr"\npreview = 0.5', "preview is the road ahead that a law in Python receives"),
     ],
 )
 def test_bad_sections(section, said):
@@ -337,7 +337,7 @@ def test_a_filter_has_states_that_none_measures():
 
 def test_dampers_cannot_push():
     """A vehicle of adjustable dampers has no such design, and says why."""
-    with refused("pushes before the road does, and adjustable dampers only resist motion"):
+    with refused("acts before the road does, and semi-active dampers only resist motion"):
         parse_vehicle(read_vehicle("quarter_car_semi_active").text + SECTION.format(0.5))
 
 

@@ -1,4 +1,4 @@
-"""Mass on a spring and a force that stand on the road: one degree of freedom, for laws in closed form."""
+"""Mass on a spring and a force actuator, both on the road: one degree of freedom, for laws in closed form."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much the spring is squeezed at rest [m]."""
+    """Returns how much the spring is compressed at rest [m]."""
     return {STATES[0]: p["mass"] * GRAVITY / p["stiffness"]}
 
 

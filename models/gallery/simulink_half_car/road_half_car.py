@@ -1,4 +1,4 @@
-"""Half-car whose suspensions stand on the road, without wheels: the second example of a kind of one's own.
+"""Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
 
 The equations are those of Simulink's demonstration of a half-car. Its springs feel the road, its dampers the body alone.
 """
@@ -49,7 +49,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much each axle's springs are squeezed at rest [m]."""
+    """Returns how much each axle's springs are compressed at rest [m]."""
     front, rear = p["axle_distance_front"], p["axle_distance_rear"]
     weight = p["mass"] * GRAVITY / (front + rear)
     carried = {"front": weight * rear, "rear": weight * front}

@@ -57,7 +57,7 @@ class DescribingFunction:
     Attributes:
         controller: the controller.
         outputs: names of the p output signals.
-        units: their units.
+        units: units of the signals.
         omega: frequencies [rad/s], shape (F,), a run each.
         diverged: time at which each run diverged [s], shape (F,), or infinity; such a run is not measured.
         ran_away: True for each of these that diverged by the states of its law alone, shape (F,).

@@ -46,12 +46,12 @@ class MinimumLoad:
     """Minimum load of one wheel on a shaking plate, predicted and measured.
 
     Attributes:
-        tyre: its deflection, by name.
-        ratio: predicted for the sampled loop as it is built, over its static load; at least 0.
-        omega: its frequency [rad/s].
-        driven: predicted at the neighbouring frequency that MuJoCo drives, before it is cut at 0.
-        measured: at that frequency in MuJoCo.
-        allowed: allowed difference; infinite if a damper or spring has a curve, as the prediction is for its line.
+        tyre: name of the tyre deflection signal.
+        ratio: minimum for the sampled loop as implemented, relative to the static load; at least 0.
+        omega: frequency of the minimum [rad/s].
+        driven: prediction at the neighbouring frequency that MuJoCo drives, before it is cut at 0.
+        measured: minimum at that frequency in MuJoCo.
+        allowed: difference that is allowed; infinite if a damper or spring has a curve, as the prediction is for its line.
         ended: ends of the linear regime.
     """
 
@@ -87,7 +87,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
     Args:
         controllers: controllers with stable loops.
-        timestep: [s].
+        timestep: timestep of the physics [s].
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)

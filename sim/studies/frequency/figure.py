@@ -39,7 +39,7 @@ def sweep_figure(
     Args:
         vehicle: the vehicle, whose weighted signals are drawn.
         amplitude: largest height of the roads [m], for the caption.
-        timestep: [s], for the caption.
+        timestep: timestep of the physics [s], for the caption.
         speed: forward velocity [m/s].
         style: colour and line style of every controller.
         own: describing functions of laws in Python, which have points and no line.

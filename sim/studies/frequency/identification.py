@@ -51,7 +51,7 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     """The same of whole periods of a sinusoid, once all else has decayed.
 
     Args:
-        response: some periods and nothing else.
+        response: response over an integer number of periods.
         omega: frequency of the road [rad/s].
     """
     sides, shape = _sides(vehicle, response, periodic=True), 1.0
@@ -150,12 +150,12 @@ class Lines:
     Attributes:
         controller: the controller.
         outputs: names of the p output signals.
-        units: their units.
+        units: units of the signals.
         omega: lines [rad/s], shape (F,).
-        measured: in MuJoCo, complex, shape (F, p).
-        sampled: exact, of the sampled loop as it is implemented.
-        integrated: the same as RK4 makes it.
-        continuous: exact, of the continuous loop.
+        measured: gains measured in MuJoCo, complex, shape (F, p).
+        sampled: gains of the implemented (sampled-data) loop, exact.
+        integrated: gains of the loop that RK4 integrates.
+        continuous: gains of the continuous loop, exact.
         order: power of the timestep with which sampled tends to continuous; NaN if there is a delay or sample period.
         gain: L2 gain of the run, from w to z, or None if the road has a filter (`sim.studies.frequency.identification`).
         ended: ends of the linear regime.
@@ -259,7 +259,7 @@ def fit(
 
     Args:
         omega: lines [rad/s], shape (F,).
-        samples: how many samples are fitted.
+        samples: number of samples that are fitted.
         besides: other lines [rad/s] that are in it, and are not asked for.
     """
     if steps_per_sample(vehicle.implementation, float(response.time[1] - response.time[0])) > 1 and controller.measured:

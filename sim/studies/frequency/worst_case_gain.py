@@ -179,7 +179,7 @@ class Extremes:
         tried: the frequency that was driven [rad/s], next to it.
         predicted: gain at that frequency with all harmonics, at the run's step and at half of it; empty if `lti`.
         gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone if the road has a filter.
-        invariants: those that this vehicle has.
+        invariants: transmissibilities of this vehicle that no suspension force can change.
         ended: ends of the linear regime in any of the runs.
         lti: True if the sampled loop is time-invariant, because the controller samples at every step. Otherwise its norm here
             leaves out the harmonics, and bounds no gain.
@@ -340,7 +340,7 @@ class WorstRoad:
 
     Attributes:
         angle: phase angle of the road from sample to sample [rad].
-        predicted: predicted gain of the road as MuJoCo holds it, at its height midway through each step.
+        predicted: gain predicted for the road as MuJoCo holds it, at its height midway through each step.
         finer: the largest gain of the same sinusoids at half the step.
         gain: gain in MuJoCo.
         timestep: timestep of its run [s].
@@ -365,7 +365,7 @@ def worst_road(
 
     Args:
         vehicle: the vehicle, without noise and quantisation.
-        controller: its controller, whose loop is stable.
+        controller: controller whose loop is stable.
         norm: norm of that loop as implemented.
         amplitude: largest height of the road [m].
         timestep: longest timestep of the run [s]; the sample period if the vehicle gives none.

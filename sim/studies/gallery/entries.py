@@ -22,7 +22,7 @@ class PrintedNumber:
 
     Attributes:
         what: type of the number, a key of `sim.studies.gallery.numbers.KINDS`.
-        value: as printed, in `unit`.
+        value: value as published, in `unit`.
         digits: decimals of the printed value.
         where: place in the source, or formula.
         vehicle: vehicle file in the entry's folder.
@@ -92,7 +92,7 @@ class MissingNumber:
 
     Attributes:
         what: the number, in words.
-        why: what it needs, in a line.
+        why: reason for the missing number, in a line.
         source: entry of `SOURCES` without any number for this reason; empty if it has others.
     """
 
@@ -160,7 +160,7 @@ def read_entry(name: str) -> Entry:
     """Returns an entry by its name.
 
     Raises:
-        InputError: there is no such entry, or its file has a key that means nothing.
+        InputError: the entry does not exist, or its file has an unknown key.
     """
     if name not in names():
         raise InputError(f"unknown entry {name!r}; the gallery has {listing(names())}")

@@ -122,7 +122,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     above, off = np.imag(zeros), np.abs(np.real(zeros))
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
     if not len(on_axis):
-        raise InputError(f"{one.signal} has no zero on the imaginary axis from {model.inputs[0]}; name another signal")
+        raise InputError(f"{one.signal} has no zero on the imaginary axis from {model.inputs[0]}; give another signal")
     return float(on_axis.min()), None
 
 
@@ -188,7 +188,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     """Returns when a signal stays within a band around zero, from when the road begins [s].
 
     Raises:
-        InputError: it does not, or is never outside.
+        InputError: the signal does not settle, or is never outside the band.
     """
     begins = float(one.road.get("start", 0.0))
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
@@ -255,9 +255,7 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     A time from which a signal stays within a band is the first sample of the grid within it.
     """
     if one.what not in OF_A_GRID or not one.timestep / 10 <= one.grid <= one.duration:
-        raise InputError(
-            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; leave it out"
-        )
+        raise InputError(f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; omit it")
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)
     if one.what in ("peak", "rms"):

@@ -85,7 +85,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
     Args:
         road: the spectrum of the road; its roughness has no effect.
         timestep: timestep of the sampled loop [s].
-        start: when measuring begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
+        start: time at which measurement begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
     """
     shares = settled_shares(vehicle, controller, road, timestep, start)
     if not shares:
@@ -163,7 +163,7 @@ class Expected:
             its.
         spread: standard deviation of each rms metric from road to road, by metric.
         error: upper estimate of the relative error of the integrals; report it if above `EXACT`.
-        line: the linear vehicle, with equivalent lines in place of curves (`statistical_linearisation.py`).
+        line: the linear vehicle, with equivalent lines instead of curves (`statistical_linearisation.py`).
     """
 
     mean: dict[str, float]

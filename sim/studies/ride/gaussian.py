@@ -38,7 +38,7 @@ class Gaussian:
     Attributes:
         by_step: S [unit^2/Hz] at every step of its period, shape (steps, F).
         omega: ascending frequencies [rad/s], shape (F,).
-        share: their quadrature weights [Hz], shape (F,).
+        share: quadrature weights of the frequencies [Hz], shape (F,).
     """
 
     by_step: Array

@@ -246,14 +246,14 @@ def energy(force: str) -> str:
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns a signal's name with the metric in place of the common prefix, or behind the name if it lacks that prefix."""
+    """Returns a signal's name with the metric instead of the common prefix, or behind the name if it lacks that prefix."""
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
 
 
 class Meter:
     """Metrics of N runs of one kind of vehicle, computed block by block in constant memory.
 
-    A run's numbers do not depend on the other runs, to the last bit: each is summed along its own time.
+    The numbers of a run are bit for bit independent of the other runs: each is summed along its own time.
     """
 
     def __init__(

@@ -4,7 +4,7 @@ For a vehicle with several wheels, suspensions or actuators, each column has the
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from models.suspension.bump_stops import SIDES
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
-from sim.studies.ride.metrics import dynamic_load, off_ground, points
+from sim.studies.ride.metrics import Metric, dynamic_load, metrics_of, off_ground, points
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Standing:
         values: values by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: part of the vehicle that this run omits, see `Vehicle.without`; empty as built.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
             A side without a stop is left out; empty without strokes or a run.
     """
@@ -125,20 +125,24 @@ def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
     )
 
 
-OVER_RUNS: dict[str, Callable[[Array], float]] = {  # statistic over all runs, by key of `MEASURES`
-    **dict.fromkeys((RIDE, LOAD, "force_rms"), lambda values: float(np.sqrt(np.mean(values**2)))),
-    **dict.fromkeys((TRAVEL, "force_peak"), lambda values: float(values.max())),
-    **dict.fromkeys(("off_ground", "at_stops"), lambda values: float(values.mean())),
-}
+LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
+MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
+
+
+def over_runs(metric: Metric, values: Array) -> float:
+    """Returns a metric over all runs: the largest of peaks, the mean of shares and work, the root mean square of all else."""
+    if metric.what in LARGEST_OF:
+        return float(values.max())
+    return float(values.mean()) if metric.what in MEAN_OF else float(np.sqrt(np.mean(values**2)))
 
 
 def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array]) -> Standing:
     """Returns a controller's row over several runs; each metric is an array with a number for every run.
 
-    Ride, load and force are root mean squares over the runs, shares of time are means, and peaks are the largest. All are None if
-    a run has no metrics.
+    Numbers are those of `over_runs`. All are None if a run has no metrics.
     """
-    over = {name: OVER_RUNS[key](metrics[name]) for key, names in columns_of(vehicle).items() for name in names}
+    names = {name for some in columns_of(vehicle).values() for name in some}
+    over = {one.name: over_runs(one, metrics[one.name]) for one in metrics_of(vehicle) if one.name in names}
     return standing(vehicle, controller, over if all(map(math.isfinite, over.values())) else {})
 
 
@@ -180,8 +184,8 @@ class ComparedColumn:
 
     Attributes:
         measure: the column.
-        numbers: for every controller, the best marked.
-        changes: against passive [%]; None if they are not shown.
+        numbers: numbers of the controllers, the best marked.
+        changes: differences from passive [%]; None if they are not shown.
     """
 
     measure: Measure

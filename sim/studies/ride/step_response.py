@@ -33,8 +33,8 @@ class StepMetrics:
     Attributes:
         peak: the largest value in the direction of the step if the signal is a height, else the value of largest size.
         peak_time: time of the peak [s].
-        overshoot: for a height, excess of the peak over the step, relative to the step; for other signals the largest value of
-            the opposite sign after the peak, over the peak.
+        overshoot: excess of the peak of a height over the step, relative to the step; for other signals the largest value of the
+            opposite sign after the peak, over the peak.
         settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
         iae: integral of the absolute error over the run [unit s].
@@ -90,13 +90,13 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     """Checks the band of settling times [%].
 
     Raises:
-        InputError: it is out of range, or was given for a road other than a step.
+        InputError: the band is out of range, or was given for a road other than a step.
     """
     low, high = BANDS
     if not low <= percent <= high:
         raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
     if given and step_of(road) is None:
-        raise InputError("--band is that of a step's response; drive over --road step, without loads, or leave it out")
+        raise InputError("--band is that of a step's response; drive over --road step, without loads, or omit it")
 
 
 def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:

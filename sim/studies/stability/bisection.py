@@ -22,7 +22,7 @@ class Bisection:
 
     Attributes:
         trial: amount -> the run that tells.
-        expected: where to look first; infinite where no amount is expected to matter.
+        expected: amount to start from; infinite if no amount is expected to matter.
         most: the largest amount to try then.
         step: amounts are its multiples; 0 where they are real numbers.
         tried: amount -> what became of it. Zero is taken to decay: that is the loop as it is.

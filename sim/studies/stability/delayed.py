@@ -25,9 +25,9 @@ def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, dela
 
     Args:
         vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        controller: its controller, which samples every step.
-        timestep: [s].
-        delay: in samples, at least 0.
+        controller: controller that samples every step.
+        timestep: timestep of the physics [s].
+        delay: delay in samples, at least 0.
     """
     return rate_from_sample_to_sample(*sampled_loop_transfer(vehicle, controller, timestep), delay) / timestep
 

@@ -44,7 +44,7 @@ class FragilityFound:
 
     Attributes:
         gain: the loop with factors on its measurements and requested forces.
-        predicted: predicted tolerance of that loop.
+        predicted: tolerance that is predicted for that loop.
         edge: size of the worst errors at which it becomes unstable, predicted and found.
         rounding: certificate of the law with rounded numbers, by format.
         timestep: timestep of the physics [s].

@@ -102,7 +102,7 @@ def grows(trials: Sequence[Trial], timestep: float, progress: Callable[[str], No
 def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[list[int]]:
     """Groups trials into batches of equal computation and similar duration, the longest first.
 
-    A run's numbers therefore do not depend on the others, to the last bit.
+    Therefore the numbers of a run are bit for bit independent of the others.
     """
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, trial in enumerate(trials):
@@ -253,7 +253,7 @@ def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float,
 def _duration(trial: Trial, timestep: float, least: float) -> float:
     """Returns how long a run is at most [s]: so long, or until it settles, as what takes longer is not begun twice.
 
-    First, one that can be held against its loop is so long that it is.
+    First, a run that can be compared with its loop is long enough for that.
     """
     own = _least(trial, timestep)
     if own > least == SHORTEST and not trial.controller.law.states and trial.vehicle.limits.actuator_bandwidth is None:

@@ -27,7 +27,7 @@ class LateLoop:
         G: gain to the requested forces, shape (m, n).
         delay: delay in steps; 0 if the controller samples less often than every step.
         held: steps from sample to sample.
-        timestep: [s].
+        timestep: timestep of the physics [s].
     """
 
     Phi: Array

@@ -34,10 +34,10 @@ class GainMargin:
     of the timestep. If the margin found at one step is not the loop's own, half the step allows to extrapolate.
 
     Attributes:
-        own: predicted for the loop itself, without sampling.
-        sampled: predicted for the sampled loop, as RK4 integrates it, at the timestep and at half of it.
-        search: for the margin at the timestep.
-        finer: at half of it; not run if it is not needed.
+        own: margin predicted for the loop itself, without sampling.
+        sampled: margins predicted for the sampled loop, as RK4 integrates it, at the timestep and at half of it.
+        search: search for the margin at the timestep.
+        finer: search at half of the timestep; not run if it is not needed.
     """
 
     own: float
@@ -156,9 +156,9 @@ def find_margins(
 
     Args:
         vehicle: the vehicle; its `[implementation]` is ignored.
-        controller: its controller, whose loop is stable.
+        controller: controller whose loop is stable.
         timestep: MuJoCo's timestep [s].
-        progress: called with a line on the progress.
+        progress: callback that receives a line on the progress.
 
     Returns:
         The margins of all loops together under ""; if there are several, also of each loop by its force, with the others closed.

@@ -37,11 +37,11 @@ class ParameterVertex:
     """A vehicle with other parameters than its controller was designed for.
 
     Attributes:
-        factors: on what varies.
-        parameters: those that are others [SI].
+        factors: factors on the parameters that vary.
+        parameters: values of the parameters that change [SI].
         norm: the H-infinity norm; infinite where unstable.
-        decays: whether MuJoCo settles after a small bump.
-        agrees: whether it agrees with the linear response over one.
+        decays: True if the motion in MuJoCo decays after a small bump.
+        agrees: True if MuJoCo agrees with the linear response over a bump.
     """
 
     factors: tuple[float, ...]
@@ -59,7 +59,7 @@ class Robustness:
         varied: the d variations.
         computed: number of vehicles whose norm was computed.
         norm: largest of these H-infinity norms.
-        at: changed parameters at that norm [SI].
+        at: parameters that are changed at that norm [SI].
         corners: physics at the corners of the box.
         factors: factors of the first grid of vehicles, evenly over the box, along each of its d axes.
         norms: norms on that grid; infinite for unstable loops.
@@ -86,7 +86,7 @@ class Robustness:
 
 def varied_text(kind: VehicleKind) -> str:
     """Describes the variations of a kind of vehicle."""
-    return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} says how far it varies"
+    return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} has a range"
 
 
 def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, tuple[str, ...]]:
@@ -109,7 +109,7 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
                 f"--vary {text}: {quoted(name)} is not a parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
             )
         if again := [one for one in names if any(one in others for others in variations.values())]:
-            raise InputError(f"--vary {text}: {again[0]} is varied twice; leave one of them out")
+            raise InputError(f"--vary {text}: {again[0]} is varied twice; omit one of them")
         try:
             low, high = map(float, numbers)
         except ValueError:
@@ -120,7 +120,7 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
     if len(variations) > MOST:
         raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
     for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
-        with error_in("--vary reaches a vehicle that is none:"):
+        with error_in("--vary reaches an invalid vehicle:"):
             vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)
     return variations
 
@@ -138,7 +138,7 @@ def robustness(
 
     Args:
         timestep: MuJoCo's timestep [s].
-        progress: called with a line on the progress.
+        progress: callback that receives a line on the progress.
         variations: result of `read_variations`; None for the variations of the vehicle type.
     """
     variations = vehicle.kind.variations if variations is None else variations

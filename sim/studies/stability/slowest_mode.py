@@ -22,7 +22,7 @@ def slowest_rate(states: Array, timestep: float, hold: int) -> float:
 
     Args:
         states: states of a run after its bump, shape (n, T).
-        timestep: [s].
+        timestep: timestep of the physics [s].
         hold: samples over which the controller holds or delays what it has measured: no stretch is shorter, or a part of one.
     """
     length = hold * max(1, round(states.shape[1] / STRETCHES / hold))

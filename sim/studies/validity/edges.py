@@ -39,7 +39,7 @@ def edges(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> tuple[s
     """Returns the axis along which there are edges, preferably the height, and the edges of the cells that were run.
 
     Args:
-        axes: its axes, one or two.
+        axes: axes of the map, one or two.
         proportional: True if responses are proportional to the height, so that one response predicts the end.
     """
     along, *others = sorted(axes, key=lambda axis: axis.name != "height")
@@ -86,7 +86,7 @@ def edge_lines(along: str, found: Sequence[Edge], fixed: Mapping[str, float]) ->
 
     Args:
         found: the edges along it.
-        fixed: what is not varied.
+        fixed: description of the quantities that are not varied.
     """
     rest = " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in fixed.items())
     lines = [f"where the linear regime ends along the {along}, with {rest}:"]

@@ -21,7 +21,7 @@ class GridAxis:
 
     Attributes:
         name: height, length or speed.
-        values: ascending, in SI.
+        values: values in SI units, ascending.
     """
 
     name: str
@@ -32,7 +32,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
     """Returns one or two axes from `name:low:high:count` each.
 
     Raises:
-        InputError: none or more than two, not different, an unknown quantity, no numbers, a grid of one point.
+        InputError: no axis or more than two, equal axes, an unknown quantity, no numbers, a grid of one point.
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):

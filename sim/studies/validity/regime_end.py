@@ -36,7 +36,7 @@ class RegimeEnd:
 
     Attributes:
         predicted: height of the end by linear analysis [m].
-        predicted_end: its name in `REGIME_ENDS`.
+        predicted_end: name of the predicted end in `REGIME_ENDS`.
         near: names of the ends within the second of `REACHES` of that height: a body that turns may meet another one first.
         stays: highest bump in MuJoCo without an end [m]; 0 if every bump had one.
         error: largest difference of that run from the analysis, over any signal's peak; 0 without such a run.
@@ -62,7 +62,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     """Returns the end of the linear regime over bumps of this length, speed and track, or None if no allowed height has one.
 
     Args:
-        controller: its controller, whose loop is stable.
+        controller: controller whose loop is stable.
         bump: a bump of any height.
         time: equidistant sample times from 0 [s].
     """

@@ -44,7 +44,7 @@ class Cells:
     """Cells of the map, N of them, in the order of their bumps.
 
     Attributes:
-        bumps: one per cell.
+        bumps: bumps, one for each cell.
         error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
         first: first end in physics, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
         time: time of that end [s], infinite for none, shape (N,).
@@ -118,9 +118,9 @@ def validity(
 
     Args:
         time: equidistant sample times from 0 [s].
-        progress: called with the number of finished cells.
+        progress: callback that receives the number of finished cells.
         loads: loads on the body over every bump.
-        foretold: whether anybody asks what is predicted of each, which with curves or loads is dear; else nothing is.
+        foretold: True to predict each cell, which is slow with curves or loads.
     """
     # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others,
     # unless a thread would have too few runs.

@@ -38,7 +38,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
-    """The map as JSON has it: SI units, None for what never happens."""
+    """The map as in JSON: SI units, None for what never happens."""
     return {
         "controller": controller,
         "axes": {axis.name: list(axis.values) for axis in axes},
@@ -130,7 +130,7 @@ def envelope_figure(
 
     Args:
         cells: cells of the grid, the last axis running fastest.
-        axes: one or two axes; with one, the shares of the way to each end are drawn.
+        axes: axes of the map, one or two; with one, the shares of the way to each end are drawn.
         fixed: values that are not varied.
         threshold: error up to which linear analysis holds.
         loads: loads on the body over every bump.

@@ -40,7 +40,7 @@ class ExportedLaw:
 
     Attributes:
         name: prefix of all its names in C.
-        controller: its name in the vehicle file.
+        controller: name of the controller in the vehicle file.
         numbers: "double", "float", "int32" or "int16".
         period: seconds between samples; None if it needs none, as it has no states.
         inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
@@ -58,7 +58,7 @@ class ExportedLaw:
         coefficients: numbers of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
         ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
-        range_sources: where each range is from, in words.
+        range_sources: source of each range, in words.
     """
 
     name: str
@@ -93,6 +93,16 @@ class ExportedLaw:
         tables = self.A, self.B, self.C, self.D
         return fixed_point(self.numbers, tables, self.anti_windup, self.limit, self.resolution, self.ranges)
 
+    @cached_property
+    def tables(self) -> dict[str, Array]:
+        """Tables A, B, C, D and anti-windup L of the code; in fixed point they are integers."""
+        if (of := self.fixed) is None:
+            L = np.zeros((self.states, 0)) if self.anti_windup is None else self.anti_windup
+            return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "L": L}
+        m, q, after = len(self.outputs), self.readings, self.readings + self.states
+        L = of.rows[m:, after:] if self.anti_windup is not None else np.zeros((self.states, 0))
+        return {"A": of.rows[m:, q:after], "B": of.rows[m:, :q], "C": of.rows[:m, q:after], "D": of.rows[:m, :q], "L": L}
+
     @property
     def states(self) -> int:
         """Number k of states of the law."""
@@ -123,10 +133,10 @@ def exported_law(
     Args:
         vehicle: the vehicle, with its limits and implementation.
         driver: a controller of it.
-        numbers: see `ExportedLaw`.
+        numbers: number format, as in `ExportedLaw`.
         name: prefix in C.
         ranges: largest magnitude of each reading, by name, for fixed point; a reading with a proved peak may be left out.
-        sources: where ranges are from, by name, if they were not given.
+        sources: sources of ranges that were not given, by name.
 
     Raises:
         InputError: the controller is a law in Python or an FMU, has states but no sample period, or sets dampers with curves.
@@ -141,9 +151,7 @@ def exported_law(
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
         raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
     if how.delay != int(how.delay):
-        raise InputError(
-            f"delay = {how.delay:g} samples is not a whole number; code gives forces at samples: give {int(how.delay)}"
-        )
+        raise InputError(f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}")
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
@@ -210,7 +218,7 @@ def _ranges(
         raise InputError("fixed point sets forces, and this vehicle has adjustable dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; leave it out")
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")
     known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
@@ -232,79 +240,72 @@ class PythonStep:
     _line: list[list[Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        law = self.law
-        # Python's own numbers have the bits of float64, at a fifth of the time. In fixed point the law's own tables are not used.
-        self._number = NUMBERS[law.numbers] if law.numbers == "float" else float
-        tables = law.A, law.B, law.C, law.D, np.zeros((law.states, 0)) if law.anti_windup is None else law.anti_windup
-        self._A, self._B, self._C, self._D, self._L = ([self._all(row) for row in table.tolist()] for table in tables)
+        law, fixed = self.law, self.law.fixed
+        # Python's own numbers have the bits of float64, at a fifth of the time.
+        self._number = NUMBERS[law.numbers] if law.numbers == "float" else float if fixed is None else int
+        self._tables = {name: [self._all(row) for row in table.tolist()] for name, table in law.tables.items()}
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
+        self._limits = None if law.limit is None else self._all([law.limit] * len(law.outputs))
+        if fixed is not None and fixed.limit is not None:
+            self._limits = self._all(fixed.limit.tolist())
         self._x = [self._number(0)] * law.states
-        still = [one[0] for one in law.dampers] or [0] * len(law.outputs)
-        self._line = [still if law.fixed is not None else self._all(still) for _ in range(law.delay)]
+        still = [one[0] for one in self._ends] or [self._number(0)] * len(law.outputs)
+        self._line = [still for _ in range(law.delay)]
         self._valid = [self._number(0)] * len(law.inputs)
 
     def _all(self, values: Sequence[float]) -> list[Any]:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; in fixed point both are whole numbers."""
-        if self.law.fixed is not None:
-            return self._late(self._whole(self.law.fixed, [int(value) for value in seen]))
+        """Returns the outputs for the inputs of a sample; in fixed point both are integers."""
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            self._valid = [self._valid_or(value, last) for value, last in zip(self._all(seen), self._valid, strict=True)]
-            computed = self._computed(self._valid)
-        return self._late(computed)
-
-    def _late(self, computed: list[Any]) -> list[Any]:
-        if not self.law.delay:
-            return computed
-        self._line.append(computed)
+            self._line.append(self._computed(self._read(seen)))
         return self._line.pop(0)
 
-    def _whole(self, fixed: FixedPoint, seen: list[int]) -> list[int]:
-        m, q, k, top = len(self.law.outputs), len(seen), self.law.states, fixed.largest
-        rows, shifts = fixed.rows.astype(int).tolist(), fixed.shifts.tolist()
-        values = [max(-top, min(top, value)) for value in seen] + [int(value) for value in self._x]
-        totals = [sum(a * b for a, b in zip(row, values, strict=False)) for row in rows]
-        forces = [rounded_shift(totals[j], shifts[j], top) for j in range(m)]
-        tops = [top] * m if fixed.limit is None else fixed.limit.astype(int).tolist()
-        given = [max(-most, min(most, force)) for most, force in zip(tops, forces, strict=True)]
-        missing = [g - f for g, f in zip(given, forces, strict=True)]
-        lost = [sum(a * b for a, b in zip(rows[m + i][q + k :], missing, strict=True)) for i in range(k)]
-        self._x = [rounded_shift(totals[m + i] + lost[i], shifts[m + i], top) for i in range(k)]
-        return given
+    def _read(self, seen: Sequence[float]) -> list[Any]:
+        """Returns the inputs: clipped in fixed point, else each one's last finite value."""
+        values = self._all(seen)
+        if (fixed := self.law.fixed) is not None:
+            return [self._clipped(value, -fixed.largest, fixed.largest) for value in values]
+        self._valid = [self._valid_or(value, last) for value, last in zip(values, self._valid, strict=True)]
+        return self._valid
+
+    def _settled(self, total: Any, row: int) -> Any:
+        """Returns what is kept of a sum of a row: scaled and rounded in fixed point, else 0 if it overflows."""
+        if (fixed := self.law.fixed) is not None:
+            return rounded_shift(total, int(fixed.shifts[row]), fixed.largest)
+        return self._valid_or(total, self._number(0))
 
     def _computed(self, seen: list[Any]) -> list[Any]:
-        law, number, zero = self.law, self._number, self._number(0)
-        y = [self._quantised(value, step) for value, step in zip(seen[: law.readings], self._resolution, strict=True)]
-        closing = [-value for value in seen[law.readings :]]
-        closing = [number(STILL[law.numbers]) if value == 0 else value for value in closing]
+        law, of, q, m = self.law, self._tables, self.law.readings, len(self.law.outputs)
+        y = seen if law.fixed is not None else [self._quantised(*both) for both in zip(seen[:q], self._resolution, strict=True)]
         if law.semi_active:
             requested = [self._valid_or(c, n) for c, (n, _, _) in zip(self._semi_active(y), self._ends, strict=True)]
             return [self._clipped(c - n, low, high) + n for c, (n, low, high) in zip(requested, self._ends, strict=True)]
-        sums = [self._sum(zero, (row, y), (of_states, self._x)) for row, of_states in zip(self._D, self._C, strict=True)]
-        forces = [self._valid_or(force, zero) for force in sums]
-        given, out = forces, forces
+        forces = [self._settled(self._sum((of["D"][j], y), (of["C"][j], self._x)), j) for j in range(m)]
+        given = out = forces
         if law.dampers:
+            closing = [self._number(STILL[law.numbers]) if value == 0 else -value for value in seen[q:]]
             beyond = [self._clipped(f / v, low, high) for f, v, (_, low, high) in zip(forces, closing, self._ends, strict=True)]
             given = [c * v for c, v in zip(beyond, closing, strict=True)]
             out = [n + c for c, (n, _, _) in zip(beyond, self._ends, strict=True)]
-        elif law.limit is not None:
-            most = number(law.limit)
-            given = out = [self._clipped(force, -most, most) for force in forces]
+        elif self._limits is not None:
+            given = out = [self._clipped(force, -most, most) for force, most in zip(forces, self._limits, strict=True)]
         missing = [] if law.anti_windup is None else [g - f for g, f in zip(given, forces, strict=True)]
-        rows = zip(self._A, self._B, self._L, strict=True)
-        self._x = [self._valid_or(self._sum(zero, (a, self._x), (b, y), (after, missing)), zero) for a, b, after in rows]
+        rows = zip(of["A"], of["B"], of["L"], strict=True)
+        sums = [self._sum((a, self._x), (b, y), (after, missing)) for a, b, after in rows]
+        self._x = [self._settled(total, m + i) for i, total in enumerate(sums)]
         return out
 
     def _valid_or(self, value: Any, otherwise: Any) -> Any:
         return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # false for NaN
 
-    def _sum(self, start: Any, *parts: tuple[list[Any], list[Any]]) -> Any:
+    def _sum(self, *parts: tuple[list[Any], list[Any]]) -> Any:
+        total = self._number(0)
         for row, values in parts:
             for factor, value in zip(row, values, strict=True):
-                start = start + factor * value
-        return start
+                total = total + factor * value
+        return total
 
     def _clipped(self, value: Any, low: float, high: float) -> Any:
         return low if value < low else high if value > high else value

@@ -1,6 +1,9 @@
-"""C99 of an exported law: no heap, no library, a fixed order of summation, every name with the law's prefix."""
+"""C99 of an exported law: no heap, no library, a fixed order of summation, every name with the law's prefix.
 
-from collections.abc import Sequence
+In fixed point there are integers alone: sums are in 64 bits, and every result is clipped in place of an overflow.
+"""
+
+from collections.abc import Iterable, Sequence
 from textwrap import indent
 
 import numpy as np
@@ -85,18 +88,56 @@ static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
 }
 """
 SUM = """/* Adds a row times a column, from the first entry to the last. */
-static NUMBER PREFIX_sum(NUMBER start, const NUMBER *row, const NUMBER *column, int count)
+static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, int count)
 {
-    NUMBER total = start;
+    TOTAL total = start;
     int i;
 
     for (i = 0; i < count; i++)
     {
-        total = total + (row[i] * column[i]);
+        total = total + (PRODUCT);
     }
     return total;
 }
 """
+ROUNDED = """/* A sum over 2^shift, to the nearest, of two the one away from 0; clipped to +-most. */
+static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
+{
+    const int64_t half = (shift > 0) ? ((int64_t)1 << (shift - 1)) : 0;
+    int64_t result = (total >= 0) ? ((total + half) >> shift) : -((half - total) >> shift);
+
+    if (result > most)
+    {
+        result = most;
+    }
+    else if (result < -most)
+    {
+        result = -most;
+    }
+    else
+    {
+        /* as it is */
+    }
+    return (NUMBER)result;
+}
+"""
+
+
+def literal(numbers: str, value: float) -> str:
+    """Returns the shortest literal of C that is read as this number, in "double" or "float"."""
+    own = (np.float32 if numbers == "float" else np.float64)(value)
+    if not np.isfinite(own):
+        return "0.0"  # no table holds one
+    return np.format_float_scientific(own, unique=True, trim="0") + ("f" if numbers == "float" else "")
+
+
+def _loop(count: int, *lines: str) -> str:
+    """Returns a loop over i of some lines."""
+    return f"for (i = 0; i < {count}; i++)\n{{\n" + indent("\n".join(lines), "    ") + "\n}"
+
+
+def _function(head: str, lines: Sequence[str]) -> str:
+    return f"{head}\n{{\n" + indent("\n".join(lines), "    ") + "\n}\n"
 
 
 class CSource:
@@ -104,8 +145,15 @@ class CSource:
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
         """Prepares a law, with the SHA-256 of its certificate's file."""
-        self.law, self.certificate, self.p = law, certificate, law.name
-        self.ctype, self.include, self.in_units, self.out_units = law.numbers, "", law.units, law.output_units
+        self.law, self.certificate, self.p, self.fixed = law, certificate, law.name, law.fixed
+        self.ctype, self.total, self.in_units, self.out_units = law.numbers, law.numbers, law.units, law.output_units
+        if (of := law.fixed) is not None:
+            self.ctype, self.total = f"{law.numbers}_t", "int64_t"
+            self.in_units, self.out_units = (
+                tuple(f"{unit}, in steps of {scale!r}" for unit, scale in zip(units, scales.tolist(), strict=True))
+                for units, scales in ((law.units, of.seen), (law.output_units, of.given))
+            )
+        self.zero = self.number(0)
 
     @property
     def files(self) -> dict[str, str]:
@@ -113,12 +161,8 @@ class CSource:
         return {f"{self.p}.h": self.header(), f"{self.p}.c": self.source(), f"{self.p}_data.h": self.data()}
 
     def number(self, value: float) -> str:
-        """Returns the shortest literal that is read as this number."""
-        own = (np.float32 if self.law.numbers == "float" else np.float64)(value)
-        if not np.isfinite(own):
-            return "0.0"  # no table holds one
-        text = np.format_float_scientific(own, unique=True, trim="0")
-        return text + ("f" if self.law.numbers == "float" else "")
+        """Returns a literal of the law's numbers."""
+        return literal(self.law.numbers, value) if self.fixed is None else str(int(value))
 
     def header(self) -> str:
         """Returns NAME.h."""
@@ -128,153 +172,163 @@ class CSource:
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
-        if law.fixed is None:
+        if self.fixed is None:
             state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
             state += "    int faults; /* inputs, outputs and states of the last step that were not finite */\n"
         state = state or "    int unused; /* the law keeps nothing; C99 has no empty struct */\n"
-        seconds = "" if law.period is None else CSource.number(self, law.period)
-        period = f"#define {p.upper()}_SAMPLE_PERIOD {seconds} /* s */\n\n" if seconds else ""
+        include = "" if self.fixed is None else "#include <stdint.h>\n\n"
+        if law.period is not None:
+            include += f"#define {p.upper()}_SAMPLE_PERIOD {literal(law.numbers, law.period)} /* s */\n\n"
         return (
-            f"/* Controller {law.controller}. Units, signs and the order of calls stand in README.md of this folder. */\n"
-            f"#ifndef {guard}\n#define {guard}\n\n{self.include}{period}"
+            f"/* Controller {law.controller}. Units, signs and the order of calls are in README.md of this folder. */\n"
+            f"#ifndef {guard}\n#define {guard}\n\n{include}"
             f"typedef struct\n{{\n{state}}} {p}_state;\n\ntypedef struct\n{{\n{ins}}} {p}_in;\n\n"
             f"typedef struct\n{{\n{outs}}} {p}_out;\n\n"
             f"/* SHA-256 of certificate.json. */\nextern const char {p}_certificate[65];\n\n"
             f"void {p}_init({p}_state *state);\nvoid {p}_step({p}_state *state, const {p}_in *in, {p}_out *out);\n\n#endif\n"
         )
 
-    def table(self, name: str, matrix: Array) -> str:
+    def _row(self, values: Iterable[float]) -> str:
+        return "{" + ", ".join(map(self.number, values)) + "}"
+
+    def _table(self, name: str, matrix: Array) -> str:
         """Returns a table, one row a line."""
-        rows = ",\n    ".join("{" + ", ".join(self.number(value) for value in row) + "}" for row in matrix)
+        rows = ",\n    ".join(map(self._row, matrix))
         return f"static const {self.ctype} {self.p}_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
 
     def data(self) -> str:
         """Returns NAME_data.h."""
-        law, guard = self.law, f"{self.p.upper()}_DATA_H"
-        tables = {"A": law.A, "B": law.B, "C": law.C, "D": None if law.semi_active else law.D, "L": law.anti_windup}
-        text = "\n".join(self.table(name, one) for name, one in tables.items() if one is not None and one.size)
+        law, p, guard = self.law, self.p, f"{self.p.upper()}_DATA_H"
+        tables = {} if law.semi_active else law.tables
+        text = "\n".join(self._table(name, one) for name, one in tables.items() if one.size)
         if law.dampers:
-            text += "\n/* nominal, least and largest coefficient beyond it [N s/m] */\n" + self.table(
-                "dampers", np.array(law.dampers)
-            )
+            dampers = self._table("dampers", np.array(law.dampers))
+            text += f"\n/* nominal, least and largest coefficient beyond it [N s/m] */\n{dampers}"
+        if (of := self.fixed) is not None:
+            row = self._row(of.shifts)
+            text += f"\n/* a row's sum is over 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
+        if of is not None and of.limit is not None:
+            row = self._row(of.limit)
+            text += f"\n/* largest forces */\nstatic const {self.ctype} {p}_limit[{len(of.limit)}] = {row};\n"
         return (
-            f"/* Tables of controller {law.controller}; included by {self.p}.c alone. */\n"
+            f"/* Tables of controller {law.controller}; included by {p}.c alone. */\n"
             f"#ifndef {guard}\n#define {guard}\n\n{text}"
-            f'\nconst char {self.p}_certificate[65] = "{self.certificate}";\n\n#endif\n'
+            f'\nconst char {p}_certificate[65] = "{self.certificate}";\n\n#endif\n'
         )
 
     def source(self) -> str:
         """Returns NAME.c."""
-        law, p = self.law, self.p
-        body = [f'#include "{p}.h"\n#include "{p}_data.h"\n', self._filled(VALID)]
-        clips = law.limit is not None or bool(law.dampers)
-        if clips:
-            body.append(self._filled(CLIPPED))
-        if np.any(law.resolution):
-            body.append(self._filled(QUANTISED))
-        if not law.semi_active:
-            body.append(self._filled(SUM))
-        body += [self._init(), self._step()]
-        return "\n".join(body)
-
-    def _filled(self, text: str) -> str:
-        """Returns a template with this law's prefix, numbers and constants."""
+        law, floating = self.law, self.fixed is None
+        parts = {
+            VALID: floating,
+            CLIPPED: floating and (law.limit is not None or bool(law.dampers)),
+            QUANTISED: floating and bool(np.any(law.resolution)),
+            SUM: not law.semi_active,
+            ROUNDED: not floating,
+        }
         words = {
             "PREFIX": self.p,
-            "NUMBER": self.law.numbers,
-            "ZERO": self.number(0),
-            "LARGE": self.number(NEAREST[self.law.numbers]),
-            "MOST": self.number(LARGEST[self.law.numbers]),
+            "NUMBER": self.ctype,
+            "TOTAL": self.total,
+            "PRODUCT": "row[i] * column[i]" if floating else "(int64_t)row[i] * (int64_t)column[i]",
+            "ZERO": self.zero,
+            "LARGE": self.number(NEAREST.get(law.numbers, 0)),
+            "MOST": self.number(LARGEST.get(law.numbers, 0)),
         }
+        text = "\n".join(part for part, needed in parts.items() if needed)
         for word, own in words.items():
             text = text.replace(word, own)
-        return text
+        return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def _init(self) -> str:
-        law, p, lines, m = self.law, self.p, list[str](), len(self.law.outputs)
+        law, p, lines = self.law, self.p, list[str]()
         if law.states:
-            lines.append(f"for (i = 0; i < {law.states}; i++)\n{{\n    state->x[i] = {self.number(0)};\n}}")
+            lines.append(_loop(law.states, f"state->x[i] = {self.zero};"))
         if law.delay:
-            still = f"{p}_dampers[i][0]" if law.dampers else self.number(0)
-            lines.append(
-                f"for (k = 0; k < {law.delay}; k++)\n{{\n    for (i = 0; i < {m}; i++)\n    {{\n"
-                f"        state->line[k][i] = {still};\n    }}\n}}\nstate->oldest = 0;"
-            )
-        if law.fixed is None:
-            lines.append(f"for (i = 0; i < {len(law.inputs)}; i++)\n{{\n    state->valid[i] = {self.number(0)};\n}}")
-            lines.append("state->faults = 0;")
-        declared = "int i;\n" * bool(lines) + "int k;\n" * bool(law.delay) + "\n" * bool(lines)
-        inner = declared + ("\n".join(lines) if lines else "state->unused = 0;")
-        return f"void {p}_init({p}_state *state)\n{{\n{indent(inner, '    ')}\n}}\n"
+            still = f"{p}_dampers[i][0]" if law.dampers else self.zero
+            inner = indent(_loop(len(law.outputs), f"state->line[k][i] = {still};"), "    ")
+            lines += [f"for (k = 0; k < {law.delay}; k++)\n{{\n{inner}\n}}", "state->oldest = 0;"]
+        if self.fixed is None:
+            lines += [_loop(len(law.inputs), f"state->valid[i] = {self.zero};"), "state->faults = 0;"]
+        declared = ["int i;", *["int k;"] * bool(law.delay), ""]
+        return _function(f"void {p}_init({p}_state *state)", [*declared, *lines] if lines else ["state->unused = 0;"])
 
     def _step(self) -> str:
-        law, p, number, m, q = self.law, self.p, self.law.numbers, len(self.law.outputs), self.law.readings
-        zero, lines = self.number(0), [f"{number} y[{q}];", f"{number} computed[{m}];"]
-        if law.dampers and not law.semi_active:
-            lines.append(f"{number} closing[{m}];")
-        if law.anti_windup is not None:
-            lines.append(f"{number} missing[{m}];")
-        if law.states:
-            lines.append(f"{number} next[{law.states}];")
-        if not law.semi_active or law.delay:
-            lines.append("int i;")
-        lines += ["", "state->faults = 0;"]
-        lines += [f"state->faults += {p}_fault(in->{name}, &state->valid[{i}]);" for i, name in enumerate(law.inputs)]
-        for i, step in enumerate(law.resolution):
-            seen = f"state->valid[{i}]"
-            lines.append(f"y[{i}] = {f'{p}_quantised({seen}, {self.number(step)})' if step else seen};")
-        if law.dampers and not law.semi_active:
-            still = self.number(STILL[law.numbers])
-            for j in range(len(law.inputs) - q):
-                seen = f"state->valid[{q + j}]"
-                lines.append(f"closing[{j}] = ({seen} == {zero}) ? {still} : -{seen};")
+        law, p, number, m, q = self.law, self.p, self.ctype, len(self.law.outputs), self.law.readings
+        on_dampers = bool(law.dampers) and not law.semi_active
+        sizes = {
+            "y": q,
+            "computed": m,
+            "closing": m * on_dampers,
+            "missing": m * (law.anti_windup is not None),
+            "next": law.states,
+        }
+        lines = [f"{number} {name}[{size}];" for name, size in sizes.items() if size]
+        lines += ["int i;"] * (not law.semi_active or law.delay > 0) + [""]
+        if self.fixed is not None:
+            most = self.number(self.fixed.largest)
+            lines += [f"y[{i}] = {p}_rounded((int64_t)in->{name}, 0, {most});" for i, name in enumerate(law.inputs)]
+        else:
+            lines.append("state->faults = 0;")
+            lines += [f"state->faults += {p}_fault(in->{name}, &state->valid[{i}]);" for i, name in enumerate(law.inputs)]
+            for i, step in enumerate(law.resolution):
+                seen = f"state->valid[{i}]"
+                lines.append(f"y[{i}] = {f'{p}_quantised({seen}, {self.number(step)})' if step else seen};")
+            for j in range((len(law.inputs) - q) * on_dampers):
+                seen, still = f"state->valid[{q + j}]", self.number(STILL[law.numbers])
+                lines.append(f"closing[{j}] = ({seen} == {self.zero}) ? {still} : -{seen};")
         lines += self._semi_active() if law.semi_active else self._linear()
-        return self._ended(lines)
-
-    def _ended(self, lines: list[str]) -> str:
-        """Returns the step function of lines that compute the outputs, with its delay."""
-        law, p, m = self.law, self.p, len(self.law.outputs)
         if law.delay:
             lines += [f"out->{name} = state->line[state->oldest][{j}];" for j, name in enumerate(law.outputs)]
-            lines += [f"for (i = 0; i < {m}; i++)\n{{\n    state->line[state->oldest][i] = computed[i];\n}}"]
-            lines += [f"state->oldest = (state->oldest + 1) % {law.delay};"]
+            lines.append(_loop(m, "state->line[state->oldest][i] = computed[i];"))
+            lines.append(f"state->oldest = (state->oldest + 1) % {law.delay};")
         else:
             lines += [f"out->{name} = computed[{j}];" for j, name in enumerate(law.outputs)]
-        if law.fixed is not None and not (law.states or law.delay):
+        if self.fixed is not None and not (law.states or law.delay):
             lines.append("(void)state;")
-        inner = "\n".join(lines)
-        return f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)\n{{\n{indent(inner, '    ')}\n}}\n"
+        return _function(f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)", lines)
+
+    def _sums(self, total: str, *products: tuple[str, str, int]) -> list[str]:
+        """Returns lines that sum rows i of tables, each times a vector of so many entries; none of an empty vector."""
+        start, lines = "0" if self.fixed is not None else self.zero, list[str]()
+        for table, vector, count in products:
+            if count:
+                lines.append(f"{total} = {self.p}_sum({total if lines else start}, {self.p}_{table}[i], {vector}, {count});")
+        return lines
 
     def _linear(self) -> Sequence[str]:
-        law, p, number, m, q, k = self.law, self.p, self.law.numbers, len(self.law.outputs), self.law.readings, self.law.states
-        zero = self.number(0)
-        inner = [f"{number} force = {zero};", f"{number} total = {p}_sum({zero}, {p}_D[i], y, {q});", ""]
-        if k:
-            inner.append(f"total = {p}_sum(total, {p}_C[i], state->x, {k});")
-        inner.append(f"state->faults += {p}_fault(total, &force);")
-        given = "computed[i]"
-        if law.dampers:
-            inner += [
-                f"const {number} beyond = {p}_clipped(force / closing[i], {p}_dampers[i][1], {p}_dampers[i][2]);",
-                f"computed[i] = {p}_dampers[i][0] + beyond;",
-            ]
-            given = "(beyond * closing[i])"
-        elif law.limit is not None:
-            inner.append(f"computed[i] = {p}_clipped(force, {self.number(-law.limit)}, {self.number(law.limit)});")
+        law, p, number, m, q, k = self.law, self.p, self.ctype, len(self.law.outputs), self.law.readings, self.law.states
+        first, *more = self._sums("total", ("D", "y", q), ("C", "state->x", k))
+        inner, given = [f"{self.total} {first}", "", *more], "computed[i]"
+        if self.fixed is not None:
+            most = self.number(self.fixed.largest)
+            top = most if law.limit is None else f"(int64_t){p}_limit[i]"
+            inner.append(f"computed[i] = {p}_rounded(total, {p}_shift[i], {top});")
+            missing = f"({number})(computed[i] - {p}_rounded(total, {p}_shift[i], {most}))"
         else:
-            inner.append("computed[i] = force;")
-        if law.anti_windup is not None:
-            inner.append(f"missing[i] = {given} - force;")
-        lines = [f"for (i = 0; i < {m}; i++)\n{{\n" + indent("\n".join(inner), "    ") + "\n}"]
+            inner = [f"{number} force = {self.zero};", *inner, f"state->faults += {p}_fault(total, &force);"]
+            if law.dampers:
+                inner += [
+                    f"const {number} beyond = {p}_clipped(force / closing[i], {p}_dampers[i][1], {p}_dampers[i][2]);",
+                    f"computed[i] = {p}_dampers[i][0] + beyond;",
+                ]
+                given = "(beyond * closing[i])"
+            elif law.limit is not None:
+                inner.append(f"computed[i] = {p}_clipped(force, {self.number(-law.limit)}, {self.number(law.limit)});")
+            else:
+                inner.append("computed[i] = force;")
+            missing = f"{given} - force"
+        inner += [f"missing[i] = {missing};"] * (law.anti_windup is not None)
+        lines = [_loop(m, *inner)]
         if k:
-            after = [f"next[i] = {p}_sum({zero}, {p}_A[i], state->x, {k});", f"next[i] = {p}_sum(next[i], {p}_B[i], y, {q});"]
-            if law.anti_windup is not None:
-                after.append(f"next[i] = {p}_sum(next[i], {p}_L[i], missing, {m});")
-            lines.append(f"for (i = 0; i < {k}; i++)\n{{\n" + indent("\n".join(after), "    ") + "\n}")
-            lines.append(
-                f"for (i = 0; i < {k}; i++)\n{{\n    state->x[i] = {zero};\n"
-                f"    state->faults += {p}_fault(next[i], &state->x[i]);\n}}"
-            )
+            products = ("A", "state->x", k), ("B", "y", q), ("L", "missing", m * (law.anti_windup is not None))
+            if self.fixed is not None:
+                first, *more = self._sums("total", *products)
+                kept = f"next[i] = {p}_rounded(total, {p}_shift[i + {m}], {self.number(self.fixed.largest)});"
+                lines += [_loop(k, f"int64_t {first}", *more, kept), _loop(k, "state->x[i] = next[i];")]
+            else:
+                lines.append(_loop(k, *self._sums("next[i]", *products)))
+                lines.append(_loop(k, f"state->x[i] = {self.zero};", f"state->faults += {p}_fault(next[i], &state->x[i]);"))
         return lines
 
     def _semi_active(self) -> Sequence[str]:

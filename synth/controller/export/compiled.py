@@ -1,6 +1,6 @@
 """Exported code as a library of this machine: built by its C compiler, or by Zig's of the extra `[export]`, and called by sample.
 
-A controller that is `driven_by` exported code is the same to the analysis; the code gives its outputs in every run.
+A controller with exported code is the same to the analysis; the code gives its outputs in every run.
 """
 
 import ctypes
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import SUFFIX, Controller, Driver
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
-from synth.controller.export.c_source import FLAGS
-from synth.controller.export.fixed_source import source_of
+from synth.controller.controller import Driver
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
+from synth.controller.export.c_source import FLAGS, CSource
 
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
 
@@ -70,21 +68,12 @@ class ExportedCode:
             ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
         return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
 
-    @functools.cached_property
-    def library(self) -> ctypes.PyDLL:
-        """The compiled code, built and loaded when first used.
+    def start(self) -> "CompiledStep":
+        """Returns the code at its start, built when it is first used.
 
         Raises:
-            InputError: there is no compiler, or it refuses the code.
+            InputError: there is no compiler, or the compiler rejects the code.
         """
-        return _library(self.law.name, tuple(self.texts.items()))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leaves the library behind: another process builds its own."""
-        return ExportedCode, (self.law, self.texts, self.sha256)
-
-    def start(self) -> "CompiledStep":
-        """Returns the code at its start."""
         return CompiledStep(self)
 
 
@@ -109,7 +98,7 @@ class CompiledStep:
         seen: inputs in the order of the law's, to be written before a step.
         given: outputs of the last step.
         x: states, as they are after the last step.
-        step: makes a step.
+        step: function that executes a step.
         state: bytes of its state struct.
     """
 
@@ -121,8 +110,9 @@ class CompiledStep:
         self.seen, self.given = np.zeros(len(law.inputs), number), np.zeros(len(law.outputs), number)
         self.x: Array = self.state[: law.states * np.dtype(number).itemsize].view(number)
         state, seen, given = (ctypes.c_void_p(one.ctypes.data) for one in (self.state, self.seen, self.given))
-        code.library[f"{law.name}_init"](state)
-        step = code.library[f"{law.name}_step"]
+        library = _library(law.name, tuple(code.texts.items()))
+        library[f"{law.name}_init"](state)
+        step = library[f"{law.name}_step"]
         step.restype = None
         self.step = functools.partial(step, state, seen, given)
         self.fixed = law.fixed
@@ -146,60 +136,11 @@ class CompiledStep:
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CompiledController(Controller):
-    """A linear controller whose outputs exported code computes.
-
-    Attributes:
-        code: the code.
-    """
-
-    code: ExportedCode | None = None
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Name, signals, law and code for JSON."""
-        return super().record | ({"code": self.code.record} if self.code is not None else {})
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledSemiActive(SemiActive):
-    """A semi-active controller whose outputs exported code computes.
-
-    Attributes:
-        code: the code.
-    """
-
-    code: ExportedCode | None = None
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Name, signals, law and code for JSON."""
-        return super().record | ({"code": self.code.record} if self.code is not None else {})
-
-
 def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> ExportedCode:
     """Returns the code that a record tells of, made again from a controller.
 
     Raises:
-        InputError: the record tells of no code that this controller can have.
+        InputError: this controller has no such code.
     """
-    numbers, name, ranges = record.get("numbers"), record.get("name"), record.get("ranges")
-    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
-        raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
-    if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
-        raise InputError("the ranges of its exported code must be numbers above 0")
-    law = exported_law(vehicle, driver, numbers, name, ranges)
-    return ExportedCode(law, source_of(law, "0" * 64).files, str(record.get("manifest_sha256")))
-
-
-def driven_by(driver: Driver, code: ExportedCode) -> Driver:
-    """Returns a controller whose outputs this code computes."""
-    kind = CompiledController if isinstance(driver, Controller) else CompiledSemiActive
-    return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
-
-
-def without_code(driver: Driver) -> Driver:
-    """Returns a controller whose outputs exported code computes as it was before: its law computes them."""
-    kind = Controller if isinstance(driver, Controller) else SemiActive
-    return kind(**{one.name: getattr(driver, one.name) for one in fields(kind)})  # pyright: ignore[reportArgumentType]
+    law = exported_law(vehicle, driver, record["numbers"], record["name"], record["ranges"])
+    return ExportedCode(law, CSource(law, "0" * 64).files, record["manifest_sha256"])

@@ -1,10 +1,10 @@
-"""Fixed point: whole numbers of 16 or 32 bits for readings, states and forces, each in a unit of its own.
+"""Fixed point: integers of 16 or 32 bits for readings, states and forces, each in a unit of its own.
 
 A reading's unit follows from its range, which is given: at the range it is clipped. From these ranges follow peaks of the states,
 by the sum of all their responses, and of the forces, so that nothing else ever overflows. What a unit is of follows its peak,
 rounded up to a power of two; a quantised reading counts its own steps, if there are not too many.
 
-A row of the law is a sum of whole coefficients times whole numbers, in 64 bits without overflow, divided by 2^shift, rounded to
+A row of the law is a sum of whole coefficients times integers, in 64 bits without overflow, divided by 2^shift, rounded to
 the nearest, of two the one away from 0, and clipped.
 """
 
@@ -27,7 +27,7 @@ class FixedPoint:
     """Units and whole coefficients of a law with q readings, m forces and k states.
 
     Attributes:
-        largest: whole number at which everything is clipped.
+        largest: integer at which everything is clipped.
         seen: units of the readings, shape (q,).
         given: units of the forces [N], shape (m,).
         kept: units of the states, shape (k,).
@@ -109,7 +109,7 @@ def fixed_point(
 
 
 def _units(peaks: Array, largest: int) -> Array:
-    """Returns powers of two in which peaks are at most the largest whole number."""
+    """Returns powers of two in which peaks are at most the largest integer."""
     return np.array([2.0 ** math.ceil(math.log2(peak / largest)) if peak > 0 else 1.0 for peak in peaks])
 
 

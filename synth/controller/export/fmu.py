@@ -59,7 +59,7 @@ class Fmu:
         content: bytes of the file.
         token: GUID of FMI 2, or instantiation token of FMI 3.
         platforms: folders of its binaries.
-        missing: why there are no more of them, or empty.
+        missing: reason for the missing platforms, or empty.
     """
 
     content: bytes
@@ -72,10 +72,10 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
     """Returns the FMU of a model, with binaries for every platform that a compiler is there for.
 
     Args:
-        model: what it holds.
+        model: content of the FMU.
         version: 2 or 3, of FMI.
         resources: texts that travel with it, by name.
-        about: what its documentation says, plain text.
+        about: text of its documentation, plain.
     """
     parts = ["fmu.h", *(["linear.c"] if "linear.c" in model.sources else [])]
     sources = {**model.sources, **{name: (HERE / name).read_text(encoding="utf-8") for name in parts}}

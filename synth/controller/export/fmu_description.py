@@ -32,7 +32,7 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
     """Returns modelDescription.xml.
 
     Args:
-        model: what the FMU holds.
+        model: content of the FMU.
         version: 2 or 3, of FMI.
         token: GUID or instantiation token.
         files: C files that are compiled.

@@ -13,8 +13,6 @@ from synth.controller.export.c_law import STILL, ExportedLaw
 from synth.controller.export.c_source import CSource
 from synth.controller.export.linear_system import LinearSystem
 
-HEADS = {"FMU_INPUTS": "inputs", "FMU_OUTPUTS": "outputs", "FMU_STATES": "states"}
-
 
 @dataclass(frozen=True, eq=False)
 class FmuModel:
@@ -22,7 +20,7 @@ class FmuModel:
 
     Attributes:
         identifier: name of its library, a name in C.
-        title: one line.
+        title: title in one line.
         inputs: m signals, all names different from those of the outputs.
         outputs: p signals.
         states: n signals of continuous states; none of a sampled law.
@@ -49,7 +47,7 @@ def check_floating(numbers: str) -> None:
     """Refuses numbers that are not floating point, as an FMU's variables are.
 
     Raises:
-        InputError: they are whole numbers.
+        InputError: the numbers of the code are integers.
     """
     if numbers not in STILL:
         raise InputError(f"an FMU's variables are floating point, and {numbers} is not; give --numbers double or float")
@@ -69,23 +67,18 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
     meaning = DAMPING.meaning if law.dampers else CONTROL_FORCE.meaning
     outputs = [Signal(name, "", unit, meaning) for name, unit in zip(law.outputs, law.output_units, strict=True)]
     still = np.array([one[0] for one in law.dampers] if law.dampers else np.zeros(m))
-    ins = "".join(f"    in.{name} = ({law.numbers})model->u[{i}];\n" for i, name in enumerate(law.inputs))
-    outs = "".join(f"    model->y[{i}] = (double)out.{name};\n" for i, name in enumerate(law.outputs))
-    starts = "".join(f"    model->y[{i}] = {_number(value)};\n" for i, value in enumerate(still))
+    ins = "".join(f"    in.{name} = ({law.numbers})model->values[{i}];\n" for i, name in enumerate(law.inputs))
+    outs = "".join(f"    model->values[FMU_INPUTS + {i}] = (double)out.{name};\n" for i, name in enumerate(law.outputs))
+    starts = "".join(f"    model->values[FMU_INPUTS + {i}] = {_number(value)};\n" for i, value in enumerate(still))
     own = (
-        f'#include <string.h>\n#include "fmu.h"\n\n{_names(inputs)}\n'
-        "void fmu_start(fmu_model *model)\n{\n    memset(model, 0, sizeof *model);\n"
-        f"    {law.name}_init(&model->law);\n{starts}}}\n\n"
+        f'#include "fmu.h"\n\nvoid fmu_start(fmu_model *model)\n{{\n    {law.name}_init(&model->law);\n{starts}}}\n\n'
         "void fmu_update(fmu_model *model)\n{\n    (void)model; /* outputs are those of the last step */\n}\n\n"
-        "double fmu_slope(int unknown, int known)\n{\n    (void)unknown;\n    (void)known;\n    return 0.0;\n}\n\n"
         f"int fmu_step(fmu_model *model, double step)\n{{\n    {law.name}_in in;\n    {law.name}_out out;\n\n    (void)step;\n"
         f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}    return model->law.faults;\n}}\n"
     )
-    sources = {
-        **code.files,
-        "fmu_model.c": own,
-        "fmu_model.h": _head((len(inputs), m, 0), law.period, f'#include "{law.name}.h"\n\n', f"    {law.name}_state law;\n"),
-    }
+    head = _head(len(inputs), m, 0, f"#define FMU_PERIOD {_number(law.period or 0.0)} /* s; 0: any step */\n")
+    head = head.replace("\n#endif", f'#include "{law.name}.h"\ntypedef {law.name}_state fmu_law;\n\n#endif')
+    sources = {**code.files, "fmu_model.c": own, "fmu_model.h": head}
     title = f"Controller {law.controller} of a {vehicle.kind.name}"
     return FmuModel(law.name, title, tuple(inputs), tuple(outputs), (), law.period, law.delay, still, None, sources)
 
@@ -93,39 +86,25 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
 def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
     """Returns a linear system as the content of an FMU for model exchange and co-simulation."""
     n, m, p = len(system.states), len(system.inputs), len(system.outputs)
-    tables = "\n".join(_table(name, getattr(system, name)) for name in "ABCD")
-    own = f"    double over[{n}][{n + m}]; /* what a step adds to the states, of states and inputs */\n    double step;\n"
+    slopes = np.block([[system.D, system.C], [system.B, system.A]])
+    rate = _number(np.abs(system.A).sum(axis=1).max())
+    rows = ",\n    ".join("{" + ", ".join(map(_number, row)) + "}" for row in slopes)
     sources = {
         "linear.c": "",
-        "fmu_tables.h": f"/* The system's matrices. */\n#ifndef FMU_TABLES_H\n#define FMU_TABLES_H\n\n{tables}\n#endif\n",
-        "fmu_model.c": f'#include "fmu.h"\n\n{_names(system.inputs)}',
-        "fmu_model.h": _head((m, p, n), None, "", own),
+        "fmu_model.c": f'#include "fmu.h"\n\nconst double fmu_slopes[{p + n}][{m + n}] = {{\n    {rows}}};\n',
+        "fmu_model.h": _head(m, p, n, f"#define FMU_PERIOD 0.0 /* s; 0: any step */\n#define FMU_RATE {rate} /* 1/s */\n"),
     }
-    slopes = np.block([[system.D, system.C], [system.B, system.A]])
     states = tuple(replace(one, name=f"state.{one.name}") for one in system.states)
     return FmuModel(identifier, title, system.inputs, system.outputs, states, None, 0, np.zeros(p), slopes, sources)
 
 
-def _head(counts: tuple[int, int, int], period: float | None, includes: str, own: str) -> str:
+def _head(inputs: int, outputs: int, states: int, more: str) -> str:
     """Returns fmu_model.h; its token is filled in when all else is known."""
-    defines = "".join(f"#define {name} {count}\n" for name, count in zip(HEADS, counts, strict=True))
-    m, p, n = counts
-    arrays = "".join(f"    double {name}[{max(count, 1)}];\n" for name, count in (("u", m), ("y", p), ("x", n), ("dx", n)))
     return (
         "/* The content of this FMU. */\n#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
-        f'#define FMU_TOKEN "@TOKEN@"\n{defines}#define FMU_PERIOD {_number(period or 0.0)} /* s; 0: any step */\n\n{includes}'
-        f"typedef struct\n{{\n{arrays}{own}}} fmu_model;\n\n#endif\n"
+        f'#define FMU_TOKEN "@TOKEN@"\n#define FMU_INPUTS {inputs}\n#define FMU_OUTPUTS {outputs}\n#define FMU_STATES {states}\n'
+        f"{more}\n#endif\n"
     )
-
-
-def _names(inputs: tuple[Signal, ...] | list[Signal]) -> str:
-    listed = ", ".join(f'"{one.name}"' for one in inputs)
-    return f"const char *const fmu_inputs[FMU_INPUTS] = {{{listed}}};\n"
-
-
-def _table(name: str, matrix: Array) -> str:
-    rows = ",\n    ".join("{" + ", ".join(_number(value) for value in row) + "}" for row in matrix)
-    return f"static const double fmu_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
 
 
 def _number(value: float) -> str:

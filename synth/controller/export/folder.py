@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,8 @@ from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import SUFFIX, Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS
-from synth.controller.export.compiled import ExportedCode, driven_by
-from synth.controller.export.fixed_source import source_of
+from synth.controller.export.c_source import FLAGS, CSource
+from synth.controller.export.compiled import ExportedCode
 
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
@@ -32,27 +31,24 @@ def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str,
     """Returns what certificate.json holds: the law, its tables as they are run, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law, name) for name in TABLES}
-    return {
+    found: dict[str, Any] = {
         "name": law.name,
         "numbers": law.numbers,
         "controller": driver.record,
         "sample_period": law.period,
         "tables": {name: None if table is None else table.tolist() for name, table in tables.items()},
         "claims": None if claims is None else dict(claims),
-    } | _record_of_ranges(law)
-
-
-def _record_of_ranges(law: ExportedLaw) -> dict[str, Any]:
-    if law.ranges is None:
-        return {}
-    ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
-    return {"ranges": ranges, "range_sources": dict(zip(law.inputs, law.range_sources, strict=True))}
+    }
+    if law.ranges is not None:
+        found["ranges"] = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        found["range_sources"] = dict(zip(law.inputs, law.range_sources, strict=True))
+    return found
 
 
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
-    source = source_of(law, sha256(record))
+    source = CSource(law, sha256(record))
     texts = {
         **source.files,
         "CMakeLists.txt": source.cmake(),
@@ -84,7 +80,7 @@ def _digits(law: ExportedLaw, value: Any) -> str:
 
 def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
     p, how, tick = law.name, vehicle.implementation, "`"
-    source = source_of(law, "")
+    source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
     rows = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit, meaning in about)
     meaning = "coefficient of the damper" if law.dampers else "force, positive where it pushes body and wheel apart"
@@ -149,7 +145,7 @@ def _whole_numbers(law: ExportedLaw) -> str:
     each = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
     ranges = "; ".join(f"`{name}` ±{most:g} {unit}, {source}" for name, most, unit, source in each)
     return (
-        "- Inputs and outputs are whole numbers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
+        "- Inputs and outputs are integers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
         f"- The ranges of the readings: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
     )
 
@@ -189,8 +185,8 @@ class ExportedFolder:
     """An exported folder.
 
     Attributes:
-        folder: its path.
-        vehicle: read from its vehicle file.
+        folder: path of the folder.
+        vehicle: vehicle from the folder's vehicle file.
         law: the law that was exported, from that file.
         failures: a line for each file that is missing or changed.
     """
@@ -250,8 +246,8 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
         raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.library  # noqa: B018 - code that cannot be built is refused before the long work
-    return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
+    code.start()  # code that cannot be built is refused before the long work
+    return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> bool:

@@ -52,7 +52,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
     """Returns the directions as columns, shape (N, free).
 
     Args:
-        free: which entries of a point may be other than zero, by index.
+        free: indices of the entries of a point that may be other than zero.
     """
     try:
         M = balanced_coordinates(landscape, x)

@@ -19,7 +19,7 @@ def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tu
     Args:
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
-        share: how much the norm may rise, relative.
+        share: relative increase of the norm that is allowed.
 
     Returns:
         Gain, fall and rise, each of shape (q,); the last two >= 0, and infinite where no move matters.

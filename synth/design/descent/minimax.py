@@ -36,8 +36,8 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
 
     Args:
         function: (x, above) -> value and slope. Where the value exceeds `above` it may be any such number, and the slope None.
-        x: where to start; the value there is finite.
-        rounds: at most this many.
+        x: starting point, with a finite value.
+        rounds: largest number of rounds.
     """
     value, slope = function(x, np.inf)
     assert slope is not None

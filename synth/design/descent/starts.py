@@ -136,7 +136,7 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 
     Args:
         limit: largest entries, shape (N,).
-        starts: those to try, by number.
+        starts: numbers of the starts to try.
     """
     generator = np.random.default_rng(20261120)
     for start in range(starts.stop):

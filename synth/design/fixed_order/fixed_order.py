@@ -68,7 +68,7 @@ class FixedOrderDesign:
         law: law on y = C_y x + Dyw w + `through` u.
         certificate: certificate of its loop.
         origin: the start that led to it, in words.
-        remark: its gains, or the reason for fewer states than allowed; empty without either.
+        remark: list of PI or PID gains, or the reason for fewer states than allowed; empty without either.
     """
 
     law: LinearLaw
@@ -110,7 +110,7 @@ def fixed_order_design(
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
         known: laws of this structure, also of fewer states, as the only starts.
-        on_found: called with the best law of fewer states, each time that there is one of more.
+        on_found: callback that receives the best law of fewer states, each time that a law of more states exists.
         work: counts the norms of the search; where it is over, the best so far is returned. About 14 s of processor time for a
             plant of 8 states if it is not given.
 
@@ -200,7 +200,7 @@ class _Search:
                 raise InfeasibleError(
                     f'structure = "{structure.kind}" has an integral that no force moves: its pole at 0 stays in the loop, as no '
                     "constant force changes what is measured, and no norm is finite; measure a signal that a constant force "
-                    "changes, as a deflection, or leave the integral out"
+                    "changes, as a deflection, or omit the integral"
                 )
 
     def certified(self, law: LinearLaw) -> Certificate:

@@ -26,7 +26,7 @@ class StructuredGain:
 
     Attributes:
         plant: n + k states.
-        Cy, Dyw, through: its measurements, y = C_y x + Dyw w + `through` u.
+        Cy, Dyw, through: matrices of the measurements, y = C_y x + Dyw w + `through` u.
         free: True for entries of the gain that may be other than zero, shape (m + k, q + k), or (m, q') of filters.
         filters: filters of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).

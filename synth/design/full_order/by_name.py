@@ -21,9 +21,9 @@ class NamedDesign:
     """A controller of one of these ways.
 
     Attributes:
-        law: on y = C_y x.
-        certificate: what is true of its loop.
-        remarks: how near it came, or what it is the best of and what had to be assumed, in words.
+        law: law on y = C_y x.
+        certificate: certificate of its loop.
+        remarks: notes in words: the distance from the optimum, or the objective and the assumptions.
     """
 
     law: LinearLaw
@@ -51,16 +51,16 @@ def named_design(
         name: "full", "lqr", "lqg" or "h2"; "order" with a structure.
         structure: structure of the law, for "order".
         Cy: shape (q, n); for "lqr" as many rows as states.
-        lower_bound: for controllers from these measurements.
+        lower_bound: lower bound for controllers from these measurements.
         noise: noise of each measurement, for "lqg", see `lqg_design`; None without noise.
         Dyw: shape (q, r), for "full", "order" and "h2"; None for zero.
         stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.
-        on_found: for "order", see `fixed_order_design`.
+        on_found: callback of "order", see `fixed_order_design`.
         fastest_pole: largest magnitude of the loop's poles [rad/s], for "full".
 
     Raises:
-        InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
+        InputError, InfeasibleError, DesignError: errors of `full_order_design`, `fixed_order_design` and `quadratic_design`.
     """
     if structure is not None:
         result = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)

@@ -49,12 +49,12 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
     that was closed before is joined to it.
 
     Args:
-        law: continuous.
+        law: law in continuous time.
         dt: seconds between samples.
 
     Raises:
-        DesignError: at infinity, which is z = -1, it has no finite answer.
-        LinAlgError: it has a pole at 2 / dt.
+        DesignError: the law has no finite value at infinity, which is z = -1.
+        LinAlgError: the law has a pole at 2 / dt.
     """
     A, B, C, D = law.A, law.B, law.C, law.D
     at_once = np.eye(len(D)) + D @ where.Dyu
@@ -184,12 +184,12 @@ def full_order_design(
         plant: n states, m inputs.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
-        lower_bound: what no controller from these measurements beats, if known.
+        lower_bound: lower bound on the norm of any controller from these measurements, if known.
         states: names of the states, for messages.
         fastest: largest magnitude of the loop's poles, times the plant's own speed; of a continuous plant.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, for a law that takes forces out of what it reads.
-        fastest_pole: the same limit in rad/s.
+        fastest_pole: limit on the poles of the law in rad/s.
 
     Raises:
         InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
@@ -292,7 +292,7 @@ def full_order_design(
                 return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
         laws = [each for each in laws if each is not best]
     raise DesignError(
-        f"no law was found that is stable by itself, only one that is not{undescended}; leave stable = true out, or measure more"
+        f"no law was found that is stable by itself, only one that is not{undescended}; omit stable = true, or measure more"
     )
 
 

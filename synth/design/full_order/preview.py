@@ -34,7 +34,7 @@ class PreviewDesign:
     """A controller with the least mean square for a disturbance that is known ahead.
 
     Attributes:
-        law: its feedback, that of LQR.
+        law: feedback law, that of LQR.
         preview: F(s) on w, the road's velocity, without a part from its height; None if nothing is known ahead.
         h2_norm: rms of z under white noise w.
         without: rms of z if nothing is known ahead.
@@ -59,9 +59,9 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
         Cy: measurements that are the state in other coordinates, shape (q, n); None for the state itself.
 
     Raises:
-        InputError: as `lqr_design`, or a preview that is not allowed.
+        InputError: errors of `lqr_design`, or a preview that is not allowed.
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: as `lqr_design`, or z does not weigh every force.
+        DesignError: errors of `lqr_design`, or z does not weight every force.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design

@@ -94,7 +94,7 @@ def lqg_design(
     Raises:
         InputError: C_y or the noise does not fit, or as `lqr_design`.
         InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: as `lqr_design`, or w does not reach a mode that does not decay.
+        DesignError: errors of `lqr_design`, or w does not reach a mode that does not decay.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -125,7 +125,7 @@ def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, stat
         states: names of the states, for messages.
 
     Raises:
-        InputError, InfeasibleError, DesignError: as `lqg_design`.
+        InputError, InfeasibleError, DesignError: errors of `lqg_design`.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -156,8 +156,8 @@ def quadratic_design(
         Dyw: shape (q, r), for "h2"; None for zero.
 
     Raises:
-        DesignError: not every state is measured for LQR.
-        InputError, InfeasibleError, DesignError: as `lqr_design`, `lqg_design` and `h2_design`.
+        DesignError: not every state is measured, as LQR requires.
+        InputError, InfeasibleError, DesignError: errors of `lqr_design`, `lqg_design` and `h2_design`.
     """
     if name != "lqr":
         return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
@@ -201,12 +201,12 @@ def h2_norm(loop: GeneralizedPlant) -> float:
 def _design(
     plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool, noise: Array | None = None
 ) -> QuadraticDesign:
-    """The best in the mean.
+    """Returns the law with the smallest mean square.
 
     Args:
         Cy: shape (q, n).
         Dyw: shape (q, r).
-        noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
+        noise: feedthrough from w and from additional white noise to y, shape (q, r + k), which affects the mean alone.
     """
     check_inputs(plant)
     check_posed(plant)

@@ -157,7 +157,7 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
     """Returns a law without its fast modes and those that cancel; the law itself if it has none.
 
     Args:
-        law: continuous, in units in which its numbers have a like size.
+        law: law in continuous time, in units in which its numbers have a like size.
         fast: magnitude [rad/s] from which on a mode that decays counts as fast.
 
     Raises:
@@ -455,7 +455,7 @@ class RiccatiSearch:
         """The central law of the regularised problem, in own units.
 
         Raises:
-            InfeasibleError: it has none for this gamma.
+            InfeasibleError: the problem has no law for this gamma.
         """
         plant, Cy, Dyw = self.own.plant, self.own.Cy, self.own.Dyw
         n, (d, r) = len(plant.A), plant.Dw.shape

@@ -44,7 +44,7 @@ class SampledFullOrderDesign:
     """A discrete law for the loop that a computer closes.
 
     Attributes:
-        law: discrete, from the readings to the forces.
+        law: law in discrete time, from the measurements to the forces.
         norm: the L2 gain of its loop, exact.
         remark: distance from the bound, in words; empty if it is within `WITHIN`.
     """

@@ -75,7 +75,7 @@ def descend_stable(
     Args:
         plant: plant with the law's states.
         Cy, Dyw, through: measurements of the gain, see `MeasuredPlant`.
-        start: its gain, whose loop is stable, too.
+        start: gain of the start, whose loop is stable, too.
         states: number k of the law's states.
         light: weight of the law's own states.
         structure: True for the entries that may be other than zero; None for all.

@@ -78,7 +78,7 @@ def multi_objective_design(
     Args:
         problem: goals, bounds and plants.
         starts: gains to start from, shape (m, q) each, in addition to the search's own.
-        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
@@ -101,7 +101,7 @@ def multi_objective_design(
         array([[-5.]])
     """
     if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
-        raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
+        raise InputError("a discrete plant has no decay in rad/s; omit decay, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
     search = MinimaxSearch(problem, on_progress)
@@ -117,8 +117,8 @@ def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, 
 
     Args:
         problem: the design's own, but for the structure.
-        design: to start from.
-        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+        design: design to start from.
+        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
     """
     found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)

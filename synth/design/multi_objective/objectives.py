@@ -22,8 +22,8 @@ class Linearisation:
     """F smooth functions that bound a term from below near a point.
 
     Attributes:
-        values: at the point, shape (F,).
-        slopes: at the point, shape (F, N).
+        values: values at the point, shape (F,).
+        slopes: slopes at the point, shape (F, N).
         touching: True for functions that are local maxima of the term at the point, whose curvature counts, shape (F,).
         cuts: the term's own identification of the functions.
     """
@@ -131,7 +131,7 @@ class BoundedSignal:
     Attributes:
         c: shape (n,).
         g: shape (m,).
-        at_most: its largest allowed magnitude for the given energy.
+        at_most: largest magnitude that is allowed for the given energy.
         root: square root of that energy, the integral of |w|^2.
         name: description of the bound.
     """

@@ -122,7 +122,7 @@ class Peak:
     Attributes:
         value: largest magnitude.
         time: time of that value after the road's start [s].
-        proved: proved bound on the magnitude; infinite if none is known.
+        proved: upper bound on the magnitude, proved; infinite if none is known.
     """
 
     value: float

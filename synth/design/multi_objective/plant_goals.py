@@ -28,7 +28,7 @@ def posed_goals(
     """Returns the problem of goals, without the individual optima of its members.
 
     Args:
-        members: each with a plant for every one of `norms_of`, and with what its other bounds are of.
+        members: vehicles of the family, each with a plant for every entry of `norms_of`, and with the data of its other bounds.
         measured: names of the q measured signals.
         forces: names of the m inputs.
     """

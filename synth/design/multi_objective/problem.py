@@ -237,7 +237,7 @@ def objectives_of(
 
     Args:
         full: the landscape that defines the points of all terms.
-        errors: each applies to norms and decay; peaks count without errors.
+        errors: errors of the gain, each of which applies to norms and decay; peaks are without errors.
         rate: the required decay [rad/s]; 0 for none.
     """
     goals: list[Objective] = []

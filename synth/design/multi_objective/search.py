@@ -35,7 +35,7 @@ def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: A
 
     Args:
         landscapes: landscapes of the plants, with the same points.
-        free: which entries of a point may move, by index.
+        free: indices of the entries of a point that may move.
     """
     rate = float(np.abs(np.linalg.eigvals(landscapes[0].A)).max()) or 1.0
 

@@ -46,7 +46,7 @@ class LocalModel:
 
     Attributes:
         goals: supports of the goals, each with the index of its term.
-        bounds: supports of the bounds, likewise.
+        bounds: supports of the bounds, each with the index of its term.
     """
 
     goals: tuple[tuple[int, Linearisation], ...]
@@ -58,7 +58,7 @@ class MinimaxProblem:
 
     Attributes:
         goals: the largest of them is minimised.
-        bounds: none of them may exceed 1.
+        bounds: bounds of the problem, none of which may exceed 1.
         limit: the largest entries of a point, shape (N,).
     """
 
@@ -154,9 +154,9 @@ def descend(
     Args:
         M: coordinates in which all directions have equal weight, shape (N, N).
         rounds: largest number of iterations.
-        on_progress: called with every new point.
+        on_progress: callback that receives every new point.
         enough: value of the goal at which the descent ends.
-        settled: promised relative decrease below which the descent ends at once, not after another refinement of the model.
+        settled: predicted relative decrease below which the descent ends immediately, without another refinement of the model.
         flat: relative decrease over `OVER` rounds that counts as none.
     """
     walk = _Walk(minimax, x, M, settled, flat)

@@ -20,7 +20,7 @@ def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProble
     """Returns the same problem for the largest ratio to each member's individual optimum, within the same bounds.
 
     Raises:
-        DesignError: one has nothing within the bounds.
+        DesignError: a member has no gain within the bounds.
     """
     bests = []
     for i in range(len(asked.members)):

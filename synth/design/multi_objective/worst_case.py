@@ -35,7 +35,7 @@ class WorstCaseErrors:
 
         Args:
             K: shape (m, q).
-            rate: required decay [rad/s]; 0 if none is required.
+            rate: decay rate that is required [rad/s]; 0 for no requirement.
         """
         problem = self.problem
         for i in range(len(problem.members)):

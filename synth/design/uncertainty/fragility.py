@@ -34,7 +34,7 @@ def rounding(
 
     Args:
         closed: returns the plant and the gain of a law.
-        plant: without the law's states.
+        plant: plant without the law's states.
     """
     return {to: certify_tightly(*closed(rounded(law, to)), by_itself=plant) for to in FORMATS}
 
@@ -78,9 +78,9 @@ class ErrorMargin:
 
     Attributes:
         proved_margin: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
-        bound: on the norm for these errors; infinite if nothing is proved.
+        bound: bound on the norm for these errors; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
-        readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
+        readings, forces: those relative errors, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
     """
 
     proved_margin: float
@@ -95,7 +95,7 @@ class Fragility:
     """The errors of readings and forces that a loop tolerates.
 
     Attributes:
-        norm: without errors.
+        norm: norm without errors.
         stable: margin of stability.
         within: margin by allowed relative increase of the norm.
     """

@@ -230,7 +230,7 @@ def bound_in_band(gain: ScaledGain, box: Box, low: float, high: float, found: fl
     The bound does not imply stability.
 
     Args:
-        gain: its loops, in continuous time, the middle one stable.
+        gain: loops of the gain, in continuous time, the middle one stable.
         low, high: the band [rad/s]; `high` may be infinite.
         found: the largest norm found, from which the search begins.
     """

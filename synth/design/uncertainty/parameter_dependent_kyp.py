@@ -23,7 +23,7 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
     """Returns about the least provable bound on a norm in a band for a whole box; it does not imply stability.
 
     Args:
-        gain: its loops, in continuous time, the middle one stable.
+        gain: loops of the gain, in continuous time, the middle one stable.
         low, high: the band [rad/s]; `high` may be infinite.
         unit: magnitude of the bound.
     """

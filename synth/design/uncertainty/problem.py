@@ -48,11 +48,11 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
 
     Args:
         gain: q readings, m forces, beside the states of a law.
-        d: one for all readings, or one for each, shape (q,).
-        e: one for all forces, or one for each, shape (m,).
+        d: error for all measurements, or an error for each, shape (q,).
+        e: error for all forces, or an error for each, shape (m,).
 
     Raises:
-        InputError: there are too many errors, or one is not a number from 0 to 1.
+        InputError: there are too many errors, or an error is not a number from 0 to 1.
     """
     (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
     width = np.zeros(columns + rows)

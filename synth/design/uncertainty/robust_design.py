@@ -1,4 +1,4 @@
-"""A law whose robust performance is better than that of the least norm: by turns, scales for the law, and a law for the scales.
+"""A law whose robust performance is better than that of the least norm: alternately scales for the law, and a law for the scales.
 
 For a law the best scales of each error are a curve over frequency. A stable first-order filter with a stable inverse follows its
 magnitude where mu is large. Between these filters the plant has a norm that bounds mu, and a design of the least norm lowers it
@@ -32,8 +32,8 @@ class RobustDesign:
     """A law with its robust performance.
 
     Attributes:
-        law: on y.
-        gamma: its bound on mu with performance.
+        law: law on y.
+        gamma: bound on mu with performance.
         turns: number of designs that led to it.
     """
 
@@ -54,8 +54,8 @@ def robust_design(
     Args:
         structured: the plant with its errors.
         design: returns a continuous law on y for a plant with C_y and Dyw; may raise a DesignError.
-        start: stabilises the plant; it is kept if no other is better.
-        on_turn: called with the best so far after each turn.
+        start: law that stabilises the plant; it is the result if the search finds no better one.
+        on_turn: callback that receives the best law so far after each turn.
         scaled: law whose scales are the first; the start by default.
     """
     best, loop = start, structured.closed_by(start.law if scaled is None else scaled)
@@ -78,7 +78,7 @@ def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System
     """Returns the plant between scales of its errors, and its C_y and Dyw.
 
     Args:
-        filters: for each error, the scale of q and its inverse, whose output is p.
+        filters: filters for each error: the scale of q and its inverse, whose output is p.
     """
     plant, k = structured.plant, structured.errors
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))

@@ -54,7 +54,7 @@ class StructuredBound:
 
     Attributes:
         gamma: the bound; infinite if the loop without errors is not stable.
-        peak_frequency: where the best scales are highest [rad/s].
+        peak_frequency: frequency at which the best scales are highest [rad/s].
         parts: intervals from 0 to infinity, each with scales.
     """
 
@@ -91,7 +91,7 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
     """Returns the least |D M D^-1| and the logarithms of its scales, shape (k,).
 
     Args:
-        M: complex, shape (d + k, r + k).
+        M: matrix, complex, shape (d + k, r + k).
         errors: k.
         start: logarithms of scales to begin with; zero by default.
         enough: scales below it need not be the best.

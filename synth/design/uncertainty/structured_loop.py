@@ -124,7 +124,7 @@ def plant_with_errors(
     """Returns a plant with weighted errors of its forces and readings.
 
     Args:
-        plant: continuous, n states, m inputs, r disturbances, d controlled outputs.
+        plant: plant in continuous time with n states, m inputs, r disturbances and d controlled outputs.
         Cy, through, Dyw: y = C_y x + `through` u + Dyw w, shapes (q, n), (q, m), (q, r); no Dyw is zero.
         of_errors: the columns of state and z of a force that is added to what is requested, shapes (n, m), (d, m).
         weights: weight of each force and of each measurement; None for one without an error.

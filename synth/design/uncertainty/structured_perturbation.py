@@ -22,7 +22,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
-SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies in place of 0 and infinity, where an error has no phase
+SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies instead of 0 and infinity, where an error has no phase
 BEYOND = (
     0.0,
     1e-9,
@@ -38,7 +38,7 @@ class WorstErrors:
 
     Attributes:
         mu: lower bound.
-        frequency: at which it is attained [rad/s].
+        frequency: frequency at which the value is attained [rad/s].
         errors: the errors Delta, stable, each of norm 1 / mu at most.
     """
 
@@ -73,7 +73,7 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
     """Returns the largest spectral radius found of Q M, and the errors of modulus 1 that lead to it, shape (k,).
 
     Args:
-        M: complex, shape (d + k, r + k).
+        M: matrix, complex, shape (d + k, r + k).
         errors: k.
     """
     k = errors

@@ -40,7 +40,7 @@ class WorstCaseNormFunction:
 
     Attributes:
         highest: the largest norm so far; infinite once a loop was unstable.
-        at: its factors.
+        at: factors on the parameters.
     """
 
     def __init__(self, gain: ScaledGain) -> None:
@@ -355,7 +355,7 @@ class WorstNorm:
         found: largest norm found; infinite if a loop in the box is unstable.
         readings: relative errors of the measurements at that norm, shape (q,).
         forces: relative errors of the forces at that norm, shape (m,).
-        proved: proved bound on all norms in the box, stability included; infinite if not proved.
+        proved: upper bound on all norms in the box, stability included; infinite if not proved.
         proof: proof of that bound; None if it is not proved.
     """
 
@@ -395,10 +395,10 @@ def worst_norm(
         plant: n states, m inputs; continuous or discrete.
         Cy: shape (q, n).
         K: the gain, shape (m, q); or a law with states, which then stands between two diagonal scalings.
-        d: one for all readings, or one for each, shape (q,).
-        e: one for all forces, or one for each, shape (m,).
+        d: error for all measurements, or an error for each, shape (q,).
+        e: error for all forces, or an error for each, shape (m,).
         Dyw: shape (q, r); zero where it is not given.
-        through: what the forces do to what is measured at once, shape (q, m); zero where it is not given.
+        through: feedthrough from the forces to the measurements, shape (q, m); zero if it is not given.
         enough: a bound that is asked about, which is tried by itself where no closer one is proved below it.
 
     Raises:

@@ -99,12 +99,12 @@ class Cost:
     Attributes:
         controller: the controller.
         ideal: norm of its continuous loop, with its actuators' lag and without noise; infinite if that is not stable.
-        lower_bound: on the norm with these measurements at any rate; None if unknown. It is proved for time-invariant
+        lower_bound: lower bound on the norm with these measurements at any rate; None if unknown. It is proved for time-invariant
             controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
         delay: delay of the late forces, in samples.
-        rates: ascending by period.
+        rates: norms at the rates, ascending by period.
         lost: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
-        lost_late: the same for late forces.
+        lost_late: shortest sample period at which the loop with late forces is not stable [s].
     """
 
     controller: Controller
@@ -130,10 +130,10 @@ def cost(
     """Computes the norms of a controller at these sample periods.
 
     Args:
-        vehicle: only the delay in samples of its `[implementation]` counts; default one.
+        vehicle: vehicle, of whose `[implementation]` only the delay in samples counts; default one.
         periods: ascending [s].
         designs: periods for which a controller designed in two steps is designed again.
-        done: called with the number of finished periods.
+        done: callback that receives the number of finished periods.
     """
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
     near, rates = [ideal if 0 < ideal < np.inf else 1.0] * 2, []

@@ -218,7 +218,7 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
     """Returns the figure of norms over the sample period.
 
     Args:
-        costs: one per controller, at `drawn_periods`.
+        costs: cost of each controller, at `drawn_periods`.
         periods: requested ones [s], which are marked.
     """
     title = (

@@ -36,7 +36,7 @@ class FrontAxis:
 
     Attributes:
         name: ride, travel, road_holding, force, band or tolerance.
-        norm: its signals and band.
+        norm: norm of the axis, with its signals and band.
         off: relative error of each reading; then the axis is the worst norm.
         meaning: description on one line.
         unit: unit of the norm, per m/s of road velocity.
@@ -118,7 +118,7 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
         off = float(given) / 100
     if vehicle.filtered:
         raise InputError(
-            "--front tolerance: weights of [performance] that are filters are not looked at with errors; leave tolerance out"
+            "--front tolerance: weights of [performance] that are filters are not looked at with errors; omit tolerance"
         )
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
@@ -153,9 +153,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(
-            f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or leave {axis} out"
-        )
+        raise InputError(f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}")
     return weights
 
 
@@ -163,7 +161,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
-        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; leave {axis} out")
+        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; omit {axis}")
     return weights
 
 
@@ -187,8 +185,8 @@ class AxisValue:
 
     Attributes:
         value: the norm.
-        proved: what it is proved to lie below.
-        at: where it is reached [rad/s]; NaN of one with errors.
+        proved: upper bound that is proved.
+        at: frequency at which the norm is attained [rad/s]; NaN for a norm with errors.
     """
 
     value: float

@@ -34,7 +34,7 @@ class EvaluatedGain:
     Attributes:
         x: point of the landscape.
         values: norms of the axes, shape (K,).
-        excess: over the worst bound, relative; see `Evaluation`.
+        excess: excess over the worst bound, relative; see `Evaluation`.
     """
 
     x: Array
@@ -52,7 +52,7 @@ class FrontContinuation:
     def __init__(self, search: MinimaxSearch, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
         """Args:
         search: the search with bounds, structure and starts; its goal does not count.
-        axes: for each axis, the landscapes whose largest norm it is.
+        axes: landscapes for each axis, whose largest norm is its value.
         starts: gains, shape (m, q) each.
 
         Raises:

@@ -41,7 +41,7 @@ class Point:
 
     Attributes:
         controller: controller with its certificate for `[performance]`.
-        norms: one per axis.
+        norms: norms of the point, one for each axis.
         travel: the largest suspension deflection over the paper's bump [m]; None if not requested, or without suspension.
     """
 
@@ -65,10 +65,10 @@ class Front:
         axes: axes of the trade-off.
         points: designs that no other beats in all axes, ascending on the first axis.
         others: other controllers of the vehicle file.
-        missing: omitted controllers, each with the reason.
+        missing: controllers that are omitted, each with the reason.
         limits: lower-bound curves of every two axes.
         tried: number of designs tried.
-        unproved: those of them that were left out because a claim fails.
+        unproved: controllers of `missing` that are omitted because a claim fails.
     """
 
     vehicle: Vehicle
@@ -107,11 +107,11 @@ def front(
         name: controller with the measurements of the designs; bounds and structure of its goals are kept.
         axes: two or three.
         others: names of controllers that are shown beside it.
-        on_progress: called with the number of finished designs.
+        on_progress: callback that receives the number of finished designs.
 
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
-        DesignError: none of its gains keeps its bounds.
+        DesignError: none of the gains keeps the bounds.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
@@ -157,7 +157,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     """The section of a controller that designs of a front can be like.
 
     Raises:
-        InputError: they cannot.
+        InputError: the designs of a front cannot have such a section.
     """
     if name == "state":
         return ControllerEntry(name, vehicle.linear_model.states)
@@ -169,9 +169,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
         raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(
-            f"controller {name!r}: --front with an integral in [performance]: its static gains have none; leave it out"
-        )
+        raise InputError(f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it")
     return entry
 
 

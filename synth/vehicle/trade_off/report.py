@@ -210,7 +210,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """Returns the figure of a front.
 
     Args:
-        measured: its marked points in MuJoCo, shape (M, K), NaN for missing ones; None if they were not driven.
+        measured: values of the marked points in MuJoCo, shape (M, K), NaN for missing ones; None without runs.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")

@@ -80,20 +80,17 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
 #define SEEDS
 #define SENSITIVITIES
 #define FITS(room, count) true
+#define LOGGED(one) (one)->environment, (one)->name
+typedef void (*fmi2LogMessageCallback)(fmi2ComponentEnvironment, fmi2String, fmi2Status, fmi2String, fmi2String, ...);
 #else
 #define ROOM , size_t room
 #define SEEDS , size_t seeds
 #define SENSITIVITIES , size_t sensitivities
 #define FITS(room, count) ((room) == (count))
+#define LOGGED(one) (one)->environment
 #endif
 
 #define NEAR 1e-6 /* relative: a step is as long as the sample period within this; masters count time in other units */
-
-/* Values by reference: inputs, outputs, states, their derivatives, time. */
-#define FIRST_OUTPUT FMU_INPUTS
-#define FIRST_STATE (FIRST_OUTPUT + FMU_OUTPUTS)
-#define FIRST_DERIVATIVE (FIRST_STATE + FMU_STATES)
-#define TIME (FIRST_DERIVATIVE + FMU_STATES)
 
 typedef enum { NEW, INITIALIZING, RUNNING, ENDED } fmu_mode;
 
@@ -101,7 +98,6 @@ typedef enum { NEW, INITIALIZING, RUNNING, ENDED } fmu_mode;
 typedef struct
 {
     fmu_model model;
-    double time;
     fmu_mode mode;
 } content;
 
@@ -111,16 +107,10 @@ typedef struct
     bool exchange; /* for model exchange, not for co-simulation */
     char name[128];
     fmiNInstanceEnvironment environment;
-#if FMI_VERSION == 2
-    const fmi2CallbackFunctions *calls;
-    fmi2Status last;
-#else
-    fmi3LogMessageCallback log;
-#endif
+    fmiNLogMessageCallback log;
 } instance;
 
 static const char OTHER[] = "this function is of the other kind of FMI: co-simulation or model exchange";
-static const char SIZE[] = "the number of continuous states is another";
 static const char NUMBERS[] = "every variable is one floating-point number; there are none of another type";
 
 /* Logs a line, and returns the status. */
@@ -133,17 +123,10 @@ static fmiNStatus say(const instance *one, fmiNStatus status, const char *format
     va_start(values, format);
     (void)vsnprintf(line, sizeof line, format, values);
     va_end(values);
-#if FMI_VERSION == 2
-    if ((one != NULL) && (one->calls != NULL) && (one->calls->logger != NULL))
-    {
-        one->calls->logger(one->environment, one->name, status, CATEGORIES[status], line);
-    }
-#else
     if ((one != NULL) && (one->log != NULL))
     {
-        one->log(one->environment, status, CATEGORIES[status], line);
+        one->log(LOGGED(one), status, CATEGORIES[status], line);
     }
-#endif
     return status;
 }
 
@@ -181,45 +164,36 @@ static void restart(instance *one)
     fmu_update(&one->now.model);
 }
 
-/* Returns a new instance with the callbacks of another one, or NULL. */
-static instance *begun(instance *of, const char *name, const char *token)
+/* Returns a new instance, or NULL. */
+static instance *begun(const char *name, const char *token, bool exchange, fmiNInstanceEnvironment environment,
+                       fmiNLogMessageCallback log)
 {
-    instance *one = NULL;
+    instance *one = (instance *)calloc(1U, sizeof *one);
+    const char *why = NULL;
 
-    if (name != NULL)
+    if (one != NULL)
     {
-        (void)snprintf(of->name, sizeof of->name, "%s", name);
-    }
-    if ((token == NULL) || (strcmp(token, FMU_TOKEN) != 0))
-    {
-        (void)refuse(of, "the GUID or instantiation token is not that of modelDescription.xml");
-    }
-    else if (of->exchange && (FMU_STATES == 0))
-    {
-        (void)refuse(of, "this FMU is for co-simulation alone");
-    }
-    else if ((one = (instance *)malloc(sizeof *one)) == NULL)
-    {
-        (void)refuse(of, "there is no memory for an instance");
-    }
-    else
-    {
-        *one = *of;
+        (void)snprintf(one->name, sizeof one->name, "%s", (name == NULL) ? "" : name);
+        one->exchange = exchange;
+        one->environment = environment;
+        one->log = log;
         restart(one);
+        if ((token == NULL) || (strcmp(token, FMU_TOKEN) != 0))
+        {
+            why = "the GUID or instantiation token is not that of modelDescription.xml";
+        }
+        else if (exchange && (FMU_STATES == 0))
+        {
+            why = "this FMU is for co-simulation alone";
+        }
+    }
+    if (why != NULL)
+    {
+        (void)refuse(one, why);
+        free(one);
+        one = NULL;
     }
     return one;
-}
-
-static double *variable(instance *one, fmiNValueReference r)
-{
-    fmu_model *model = &one->now.model;
-
-    return (r < FIRST_OUTPUT)       ? &model->u[r]
-           : (r < FIRST_STATE)      ? &model->y[r - FIRST_OUTPUT]
-           : (r < FIRST_DERIVATIVE) ? &model->x[r - FIRST_STATE]
-           : (r < TIME)             ? &model->dx[r - FIRST_DERIVATIVE]
-           : (r == TIME)            ? &one->now.time
-                                    : NULL;
 }
 
 static fmiNStatus initialize(instance *c, fmu_mode from, fmu_mode to)
@@ -242,20 +216,20 @@ static fmiNStatus advance(instance *c, double time, double step)
     {
         return say(c, fmiNDiscard, "a step of %.9g s is not the sample period of this law, %.9g s; step by that", step, period);
     }
-    if (!(fabs(time - c->now.time) <= ((0.001 * step) + (1e-12 * fabs(time)))))
+    if (!(fabs(time - c->now.model.values[FMU_TIME]) <= ((0.001 * step) + (1e-12 * fabs(time)))))
     {
         return say(c, fmiNError, "a step from %.9g s, and the last one ended at %.9g s; go on from there", time,
-                   c->now.time);
+                   c->now.model.values[FMU_TIME]);
     }
     for (i = 0; i < FMU_INPUTS; i++)
     {
-        if ((FMU_STATES > 0) && !isfinite(c->now.model.u[i])) /* a sampled law holds its last finite input */
+        if ((FMU_STATES > 0) && !isfinite(c->now.model.values[i])) /* a sampled law holds its last finite input */
         {
-            return say(c, fmiNError, "input %s is not a finite number; the step was not done", fmu_inputs[i]);
+            return say(c, fmiNError, "input %d is not a finite number; the step was not done", i);
         }
     }
     faults = fmu_step(&c->now.model, step);
-    c->now.time = time + step;
+    c->now.model.values[FMU_TIME] = time + step;
     if (faults > 0)
     {
         return say(c, fmiNWarning,
@@ -304,13 +278,11 @@ FMU_PUBLIC fmiNStatus fmiNGetFloat64(fmiNInstance c, const fmiNValueReference vr
     fmu_update(&one->now.model);
     for (i = 0; i < count; i++)
     {
-        const double *value = variable(one, vr[i]);
-
-        if (value == NULL)
+        if (vr[i] > FMU_TIME)
         {
             return say(one, fmiNError, "there is no variable with the value reference %u", (unsigned int)vr[i]);
         }
-        values[i] = *value;
+        values[i] = one->now.model.values[vr[i]];
     }
     return fmiNOK;
 }
@@ -324,13 +296,13 @@ FMU_PUBLIC fmiNStatus fmiNSetFloat64(fmiNInstance c, const fmiNValueReference vr
     NEEDS((c != NULL) && FITS(room, count), NUMBERS);
     for (i = 0; i < count; i++)
     {
-        const bool state = (vr[i] >= FIRST_STATE) && (vr[i] < FIRST_DERIVATIVE) && (one->now.mode != ENDED);
+        const bool state = (vr[i] >= FMU_FIRST_STATE) && (vr[i] < FMU_FIRST_DERIVATIVE) && (one->now.mode != ENDED);
 
-        if ((vr[i] >= FIRST_OUTPUT) && !state)
+        if ((vr[i] >= FMU_INPUTS) && !state)
         {
             return say(one, fmiNError, "the variable with the value reference %u cannot be set now", (unsigned int)vr[i]);
         }
-        *variable(one, vr[i]) = values[i];
+        one->now.model.values[vr[i]] = values[i];
     }
     return fmiNOK;
 }
@@ -339,32 +311,29 @@ FMU_PUBLIC fmiNStatus fmiNGetDirectionalDerivative(fmiNInstance c, const fmiNVal
                                                    const fmiNValueReference knowns[], size_t columns,
                                                    const fmiNFloat64 seed[] SEEDS, fmiNFloat64 sensitivity[] SENSITIVITIES)
 {
-    size_t i;
-    size_t j;
-
     NEEDS((c != NULL) && FITS(seeds, columns) && FITS(sensitivities, rows), NUMBERS);
-    NEEDS(FMU_STATES > 0, "a sampled law has no directional derivatives");
-    for (i = 0; i < rows; i++)
+#if FMU_STATES > 0
+    for (size_t i = 0; i < rows; i++)
     {
-        const int unknown = (int)unknowns[i];
-        const bool output = (unknown >= FIRST_OUTPUT) && (unknown < FIRST_STATE);
+        const bool output = (unknowns[i] >= FMU_INPUTS) && (unknowns[i] < FMU_FIRST_STATE);
+        const double *slopes = fmu_slopes[unknowns[i] - (output ? FMU_INPUTS : FMU_INPUTS + FMU_STATES)];
 
-        NEEDS(output || ((unknown >= FIRST_DERIVATIVE) && (unknown < TIME)),
+        NEEDS(output || ((unknowns[i] >= FMU_FIRST_DERIVATIVE) && (unknowns[i] < FMU_TIME)),
               "an unknown of directional derivatives is an output or a state's derivative");
         sensitivity[i] = 0.0;
-        for (j = 0; j < columns; j++)
+        for (size_t j = 0; j < columns; j++)
         {
-            const int known = (int)knowns[j];
-            const bool input = (known >= 0) && (known < FMU_INPUTS);
+            const bool input = knowns[j] < FMU_INPUTS;
 
-            NEEDS(input || ((known >= FIRST_STATE) && (known < FIRST_DERIVATIVE)),
+            NEEDS(input || ((knowns[j] >= FMU_FIRST_STATE) && (knowns[j] < FMU_FIRST_DERIVATIVE)),
                   "a known of directional derivatives is an input or a state");
-            sensitivity[i] += fmu_slope(unknown - (output ? FIRST_OUTPUT : FIRST_DERIVATIVE - FMU_OUTPUTS),
-                                        known - (input ? 0 : FIRST_STATE - FMU_INPUTS))
-                              * seed[j];
+            sensitivity[i] += slopes[knowns[j] - (input ? 0U : FMU_OUTPUTS)] * seed[j];
         }
     }
     return fmiNOK;
+#else
+    return refuse(c, "a sampled law has no directional derivatives");
+#endif
 }
 
 /* Copies of the state. */
@@ -437,34 +406,34 @@ FMU_PUBLIC fmiNStatus fmiNCompletedIntegratorStep(fmiNInstance c, fmiNBoolean no
 FMU_PUBLIC fmiNStatus fmiNSetTime(fmiNInstance c, fmiNFloat64 time)
 {
     NEEDS(exchanging(c), OTHER);
-    ((instance *)c)->now.time = time;
+    ((instance *)c)->now.model.values[FMU_TIME] = time;
     return fmiNOK;
 }
 
-FMU_PUBLIC fmiNStatus fmiNSetContinuousStates(fmiNInstance c, const fmiNFloat64 x[], size_t count)
+static fmiNStatus copied(fmiNInstance c, int first, double read[], const double written[], size_t count)
 {
+    double *values = NULL;
+
     NEEDS(exchanging(c), OTHER);
-    NEEDS(count == (size_t)FMU_STATES, SIZE);
-    memcpy(((instance *)c)->now.model.x, x, count * sizeof *x);
+    NEEDS(count == (size_t)FMU_STATES, "the number of continuous states is another");
+    values = &((instance *)c)->now.model.values[first];
+    if (written != NULL)
+    {
+        memcpy(values, written, count * sizeof *written);
+    }
+    else
+    {
+        fmu_update(&((instance *)c)->now.model);
+        memcpy(read, values, count * sizeof *read);
+    }
     return fmiNOK;
 }
 
-FMU_PUBLIC fmiNStatus fmiNGetContinuousStates(fmiNInstance c, fmiNFloat64 x[], size_t count)
-{
-    NEEDS(exchanging(c), OTHER);
-    NEEDS(count == (size_t)FMU_STATES, SIZE);
-    memcpy(x, ((instance *)c)->now.model.x, count * sizeof *x);
-    return fmiNOK;
-}
-
-FMU_PUBLIC fmiNStatus fmiNGetContinuousStateDerivatives(fmiNInstance c, fmiNFloat64 derivatives[], size_t count)
-{
-    NEEDS(exchanging(c), OTHER);
-    NEEDS(count == (size_t)FMU_STATES, SIZE);
-    fmu_update(&((instance *)c)->now.model);
-    memcpy(derivatives, ((instance *)c)->now.model.dx, count * sizeof *derivatives);
-    return fmiNOK;
-}
+RETURNS(fmiNSetContinuousStates, (fmiNInstance c, const fmiNFloat64 x[], size_t count),
+        copied(c, FMU_FIRST_STATE, NULL, x, count))
+RETURNS(fmiNGetContinuousStates, (fmiNInstance c, fmiNFloat64 x[], size_t count), copied(c, FMU_FIRST_STATE, x, NULL, count))
+RETURNS(fmiNGetContinuousStateDerivatives, (fmiNInstance c, fmiNFloat64 derivatives[], size_t count),
+        copied(c, FMU_FIRST_DERIVATIVE, derivatives, NULL, count))
 
 FMU_PUBLIC fmiNStatus fmiNGetNominalsOfContinuousStates(fmiNInstance c, fmiNFloat64 nominals[], size_t count)
 {
@@ -490,32 +459,16 @@ FMU_PUBLIC const char *fmi2GetTypesPlatform(void)
 FMU_PUBLIC fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2String guid, fmi2String resources,
                                          const fmi2CallbackFunctions *calls, fmi2Boolean visible, fmi2Boolean logging)
 {
-    instance of;
-
-    memset(&of, 0, sizeof of);
-    of.calls = calls;
-    of.environment = (calls == NULL) ? NULL : calls->componentEnvironment;
-    of.exchange = kind == fmi2ModelExchange;
-    return begun(&of, name, guid);
+    return begun(name, guid, kind == fmi2ModelExchange, (calls == NULL) ? NULL : calls->componentEnvironment,
+                 (calls == NULL) ? NULL : calls->logger);
 }
 
 FMU_PUBLIC fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean with_tolerance, fmi2Real tolerance, fmi2Real start,
                                           fmi2Boolean with_stop, fmi2Real stop)
 {
     NEEDS(c != NULL, "there is no instance");
-    ((instance *)c)->now.time = start;
+    ((instance *)c)->now.model.values[FMU_TIME] = start;
     return fmi2OK;
-}
-
-FMU_PUBLIC fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set)
-{
-    const fmi2Status status = advance((instance *)c, time, step);
-
-    if (c != NULL)
-    {
-        ((instance *)c)->last = status;
-    }
-    return status;
 }
 
 FMU_PUBLIC fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
@@ -524,17 +477,10 @@ FMU_PUBLIC fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info
     return exchanging(c) ? fmiNOK : refuse(c, OTHER);
 }
 
-FMU_PUBLIC fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
-{
-    NEEDS((c != NULL) && (kind == fmi2DoStepStatus), "fmi2GetStatus knows fmi2DoStepStatus alone");
-    *value = ((const instance *)c)->last;
-    return fmi2OK;
-}
-
 FMU_PUBLIC fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
 {
     NEEDS((c != NULL) && (kind == fmi2LastSuccessfulTime), "fmi2GetRealStatus knows fmi2LastSuccessfulTime alone");
-    *value = ((const instance *)c)->now.time;
+    *value = ((const instance *)c)->now.model.values[FMU_TIME];
     return fmi2OK;
 }
 
@@ -558,6 +504,8 @@ RETURNS(fmi2SetString, VARIABLES(const fmi2String), (count == 0U) ? fmi2OK : ref
 RETURNS(fmi2SetRealInputDerivatives, ORDERS(const fmi2Real), refuse(c, "inputs are held over a step; they have no derivatives"))
 RETURNS(fmi2GetRealOutputDerivatives, ORDERS(fmi2Real), refuse(c, "derivatives of outputs are not supported"))
 RETURNS(fmi2CancelStep, (fmi2Component c), refuse(c, "no step is pending: every step is done when fmi2DoStep returns"))
+RETURNS(fmi2DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set), advance((instance *)c, time, step))
+RETURNS(fmi2GetStatus, STATUS(fmi2Status), refuse(c, "no step is pending: every step is done when fmi2DoStep returns"))
 RETURNS(fmi2GetIntegerStatus, STATUS(fmi2Integer), refuse(c, "there is no status that is an Integer"))
 RETURNS(fmi2GetStringStatus, STATUS(fmi2String), refuse(c, "there is no status that is a String"))
 
@@ -567,13 +515,7 @@ FMU_PUBLIC fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String
                                                      fmi3Boolean visible, fmi3Boolean logging,
                                                      fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
-    instance of;
-
-    memset(&of, 0, sizeof of);
-    of.environment = environment;
-    of.log = log;
-    of.exchange = true;
-    return begun(&of, name, token);
+    return begun(name, token, true, environment, log);
 }
 
 FMU_PUBLIC fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
@@ -582,12 +524,7 @@ FMU_PUBLIC fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String 
                                                     size_t count, fmi3InstanceEnvironment environment,
                                                     fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
-    instance of;
-
-    memset(&of, 0, sizeof of);
-    of.environment = environment;
-    of.log = log;
-    return begun(&of, name, token);
+    return begun(name, token, false, environment, log);
 }
 
 FMU_PUBLIC fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
@@ -610,7 +547,7 @@ FMU_PUBLIC fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean wi
 
     if (status == fmi3OK)
     {
-        ((instance *)c)->now.time = start;
+        ((instance *)c)->now.model.values[FMU_TIME] = start;
     }
     return status;
 }
@@ -624,7 +561,7 @@ FMU_PUBLIC fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 s
     *event_needed = false;
     *terminate = false;
     *early = false;
-    *last_time = (c == NULL) ? time : ((const instance *)c)->now.time;
+    *last_time = (c == NULL) ? time : ((const instance *)c)->now.model.values[FMU_TIME];
     return status;
 }
 

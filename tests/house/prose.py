@@ -1,0 +1,105 @@
+"""Prose that is read twice: patterns in docstrings, in texts of the code (messages, help, output) and in pages.
+
+`python -m tests.house.prose` prints all findings. `--lower` writes their numbers into `MOST` of this file if they are smaller.
+"""
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.support.commands import ROOT
+from tests.support.pages import PAGES
+from tests.support.sources import sources
+
+MOST = {"docs": 3, "models": 2, "synth": 10, "sim": 35}  # findings in a folder: lower these, never raise them
+
+WORDS = (
+    r"anew|nobody|shall|mend (?:it|that|the)|doubts?|(?:is|are|was) (?:told|asked for)|told apart|whole numbers?|held against"
+    r"|leave (?:it|them|one) out|name (?:it|each) once|by turns|squeeze[sd]|ran away|to the last bit|in place of"
+    r"|as (?:it is |they are )?built|each by itself|goes? together|in the mean|brakes and curves"
+)
+NO_NOUN = (
+    "of|whose|that|from|with|beside|by|on|in|at|to|for|as|over|under|behind|along|since|until|what|how|which|whether|where|when|why"
+    "|it|its|they|called|told|asked"
+)
+PATTERNS = {  # name: pattern in a sentence, and what to write instead
+    "begins with 'Of'": (r"^(?:And |But )?Of (?!course)", "start with the subject"),
+    "verb before subject": (r"^(?:Below|Beside|Behind|Above|First|Then)\b[^,.]{0,60}? (?:stands?|comes?|lies?)\b", "X is below"),
+    "'how ... says X'": (r"^(?:How|What|Which|Where|Whether)\b[^.;:?!]{3,90} says? ", "X explains how"),
+    "thing that says": (r"\bsays? (?:so|by|nothing|more|its|no|wh\w+|how|if)\b|`-[^`]*` (?:has|says?|knows?)\b", "prints, lists"),
+    "'stands' for 'is'": (r"\bstands? (?:in|beside|below|above|there|at|on|behind|with|as|first|before)\b", "is"),
+    "'is no X'": (r"(?<![Tt]here )\b(?:is|are|was|were) no (?!longer|more|less|one\b|such|need|way)[a-z]+\b", "is not a X"),
+    "'is none'": (r"\b(?:is none|None where|what is the case)\b", "there is no X; X is invalid"),
+    "'as X has it'": (r"\bas (?:\S+ ){1,5}?(?:has|have) (?:it|them)\b", "as in X"),
+    "'of which there'": (r"\bof (?:which|whom|those|these) (?:there|nothing|no)\b", "that has no"),
+    "private word": (rf"\b(?:{WORDS})\b", "a term of the field: again, must, receives, integer, omit, alternately, instead of"),
+    "fragment": (r"^(?:Why|For whom|With every|Up to which|As of|That of|Those of)\b[^,?]*\.$", "add subject and verb"),
+    "first words": (r"^(?:What|Whether|Those|It|That|Where|How)\b", "start with a verb or a noun"),
+    "entry without noun": (rf"^[\w*]+(?:, [\w*]+)*: (?:{NO_NOUN})\b", "start with a noun"),
+    "wall of text": (r"^(?:\S+\s+){80}", "split it, or use a list"),
+}
+ONLY = {"first words": "first", "entry without noun": "entry", "wall of text": "page"}  # patterns for one kind of sentence
+ENTRY = r"[\w*]+(?:, [\w*]+)*: "
+NO_PROSE = rf"(?s:^```.*?^```|^\$\$.*?^\$\$)|^[ \t]*(?:Example|Args|Attributes|Returns|Raises):$|^ {{4,}}(?!{ENTRY}).*=.*$"
+
+
+class Sentence(NamedTuple):
+    """A sentence of a file; its kind is page, docstring, first (of a docstring), entry (of its Args) or text (of the code)."""
+
+    file: str
+    kind: str
+    text: str
+
+
+def blocks(text: str) -> Iterator[list[str]]:
+    """Yields the sentences of each paragraph, list item, table cell and entry."""
+    for block in re.split(rf"\n\s*\n|\n\s*(?=[-*|#>]|\d+\. |{ENTRY})|\|", re.sub(NO_PROSE, "\n\n", text, flags=re.MULTILINE)):
+        if plain := re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", " ".join(block.split())).lstrip("-*#> "):
+            yield re.split(r"(?<=[.!?])\s+(?=[A-Z(\"*\[`])", plain)
+
+
+def of_code() -> Iterator[Sentence]:
+    """Yields the sentences of docstrings, and of texts of the code."""
+    for file, source in sources().items():
+        for text in source.docstrings:
+            for i, block in enumerate(blocks(text)):
+                kind = "entry" if re.match(ENTRY, block[0]) else "docstring" if i else "first"
+                yield from (Sentence(file, "docstring" if j else kind, one) for j, one in enumerate(block))
+        for text in source.texts:
+            yield from (Sentence(file, "text", one) for block in blocks(text) for one in block)
+
+
+def of_pages() -> Iterator[Sentence]:
+    """Yields the sentences of pages."""
+    for page in PAGES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        yield from (Sentence(page, "page", one) for block in blocks(text) for one in block)
+
+
+def findings() -> dict[str, list[str]]:
+    """Returns the findings in each folder, in words; pages count as docs."""
+    found: dict[str, list[str]] = {folder: [] for folder in MOST}
+    for file, kind, text in (*of_code(), *of_pages()):
+        for name, (pattern, instead) in PATTERNS.items():
+            if ONLY.get(name, kind) == kind and re.search(pattern, text):
+                folder = "docs" if kind == "page" else file.partition("/")[0]
+                found[folder].append(f"{file}: {name} ({instead}): {text[:160]}")
+    return found
+
+
+def main() -> int:
+    """Prints the findings, and lowers ceilings if asked to; returns 1 if a folder is above its ceiling."""
+    found, path = findings(), Path(__file__)
+    if "--lower" in sys.argv:
+        now = ", ".join(f'"{folder}": {min(MOST[folder], len(some))}' for folder, some in found.items())
+        text = re.sub(r"^MOST = \{.*?\}", f"MOST = {{{now}}}", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        path.write_text(text, encoding="utf-8", newline="\n")
+    for folder, some in found.items():
+        print(*some, f"{folder}: {len(some)} of at most {MOST[folder]}", sep="\n")
+    return int(any(len(some) > MOST[folder] for folder, some in found.items()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
