@@ -23,7 +23,7 @@ COLUMNS = ("source", "tests", "docs")
 TABLE = """
 what all commands share: files, options, checks, tables of numbers   2366   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
-    tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
+    tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
 vehicle file, types, equations, MJCF                           4831   1402    203
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
@@ -42,7 +42,7 @@ custom vehicle types                                            185    329    12
 semi-active dampers and laws                                   1568   1008    143
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
-    tests/*/test_{dampers,laws_held,measured_dampers}.py tests/*/test_semi_active*.py
+    tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
 curves of dampers and springs, statistical linearisation       1669   1133     40
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
@@ -61,7 +61,7 @@ analytic and random roads                                      1674    613     9
 preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      400   1105      0
+anti-windup, integrals, compatible options                      400   1106      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    361      0
@@ -75,7 +75,7 @@ uncertainty: fragility, mu, boxes                              2853    932     6
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2378   1452    110
+sampled data: norm, bound, designs, rates                      2378   1451    110
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
@@ -85,7 +85,7 @@ export: C99, fixed point, FMI, MATLAB                          3284   1424     9
 full-order H-infinity                                          1007    727    113
     synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2009    761      0
+static search, descent, refine                                 2009    759      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 two steps, LMI path                                            2691   1002     35
@@ -95,7 +95,7 @@ two steps, LMI path                                            2691   1002     3
 certificates, norms, lower bounds                              3325   2237     68
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
-    tests/*/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
+    tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
 plant algebra, filters, any plant                              2249   1817    318
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
