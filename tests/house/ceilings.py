@@ -34,7 +34,7 @@ laws and families in files                                      242    330     9
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     153    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  598    694     98
+laws in Python                                                  598    694     99
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    124
@@ -82,7 +82,7 @@ sampled data: norm, bound, designs, rates                      2378   1451    11
 export: C99, fixed point, FMI, MATLAB                          3284   1424     94
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                          1007    727    113
+full-order H-infinity                                          1007    727    114
     synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
 static search, descent, refine                                 2009    759      0
@@ -108,7 +108,7 @@ synth command, controller record, designer                     3147    638    15
     docs/how-to/synth.md
 log re-verification                                             846    600     42
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2213   1135     45
+recordings: MCAP, Foxglove, Rerun                              2213   1135     46
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
 page and figures                                               5769   1722     76
@@ -143,7 +143,7 @@ commands that drive                                            1120   1043    34
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3725   1515
+house, pages, benchmarks                                          0   3725   1512
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*
