@@ -130,7 +130,7 @@ ride metrics and their expectation                             2272   1123      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                 952    313     30
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    1694    867     13
+MuJoCo loop                                                    1688    867     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                               1046    418      0
