@@ -224,11 +224,13 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
     said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED)}
     said |= {"road": result.get("road"), "timestep": result.get("timestep")}
     if command == "drive":
-        from sim.studies.ride.run_metrics import measure_run, metrics_object
+        from sim.studies.ride.run_metrics import driven_roughness, measure_run, metrics_object, roughness_object
 
         h, end = log.timestep, result.get("measured_until")
         samples = round(result["measured_from"] / h), None if end is None else round(end / h) + 1
         now |= metrics_object(run, measure_run(run, *samples))
+        now |= {"iri": roughness_object(driven_roughness(run.vehicle, run.road, run.prediction.time))}
+        said |= {"iri": result.get("iri")}
     now = json.loads(json.dumps(now))
     holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers as computed again"
     yield from _compared("result", "result.json", said, now, "numbers of the result", [holds])

@@ -15,12 +15,10 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from sim.physics.sensor_readout import Readout
 
-CLOSING = "closing velocity of "
-
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the suspensions' closing velocities, one per input; empty without adjustable dampers."""
-    return tuple(f"{CLOSING}{force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
+    return tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
 
 
 class Actuators:

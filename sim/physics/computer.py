@@ -7,7 +7,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.actuators import CLOSING, Actuators, closing_names
+from sim.physics.actuators import Actuators, closing_names
 from sim.physics.driver import Driver
 
 
@@ -25,43 +25,42 @@ class Computer:
     """
 
     def __init__(
-        self, driver: Driver, runs: Array | slice, how: Sequence[Implementation], actuators: Actuators, heights: Array
+        self,
+        driver: Driver,
+        runs: Array | slice,
+        vehicles: Sequence[Vehicle],
+        how: Sequence[Implementation],
+        actuators: Actuators,
+        names: Sequence[str],
+        heights: Array,
+        timestep: float,
+        samples: int,
     ) -> None:
-        """Takes what the computer connects.
+        """Starts the driver for its n vehicles, for a run of some samples.
 
         Args:
-            how: implementation of each of the n runs.
+            vehicles, how: vehicle and implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
+            names: names of the signals that `step` receives, before the closing velocities.
             heights: road heights of these runs at the timesteps, and beyond the end as far as the driver looks [m], shape
                 (.., n, r).
+            timestep: timestep of the runs [s].
         """
-        self.driver, self.runs, self._how, self._actuators, self._heights = driver, runs, how, actuators, heights
-
-    def start(self, vehicles: Sequence[Vehicle], timestep: float, samples: int) -> None:
-        """Starts the driver for its n vehicles, for a run of some samples."""
-        how = self._how
-        self.period = steps_per_sample(how[0], timestep)
-        self._state = self.used = self.driver.start(vehicles, timestep)
-        late = np.array([round(one.delay * self.period) for one in how])
-        self._late, self._each = late, np.arange(len(how))
+        self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
+        self.period, closing = steps_per_sample(how[0], timestep), closing_names(vehicles[0])
+        self._state = self.used = driver.start(vehicles, timestep)
+        whole = (*names, *closing)
+        self._places, self._signals = [whole.index(name) for name in driver.measured], len(names)
+        self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
         self._changes = np.zeros(self.period, dtype=bool)  # phases of the sample period at which a command arrives
-        self._changes[late % self.period] = True
-        self._waiting = np.zeros(
-            (max(one.pending_forces for one in how) + 1, len(how), self._actuators.size)
-        )  # a ring, by sample
-        self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in self.driver.measured] for one in how])
+        self._changes[self._late % self.period] = True
+        most = max(one.pending_forces for one in how)
+        self._waiting = np.zeros((most + 1, len(how), actuators.size))  # a ring, by sample
+        self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in driver.measured] for one in how])
         self._step = np.where(self._resolution > 0, self._resolution, 1.0) if self._resolution.any() else None
-        names = vehicles[0].linear_model.outputs
-        noise = measurement_noise(how, (*names, *[""] * len(self._actuators.closing)), samples)
-        self._noise = None
-        if len(noise):
-            columns = [names.index(name) if not name.startswith(CLOSING) else -1 for name in self.driver.measured]
-            self._noise = np.where(np.array(columns) < 0, 0.0, noise[:, :, columns])
-
-    def reads_from(self, names: Sequence[str]) -> None:
-        """Tells the names of the signals that `step` receives, before the closing velocities."""
-        whole = [*names, *closing_names(self._actuators.vehicles[0])]
-        self._places, self._signals = [whole.index(name) for name in self.driver.measured], len(names)
+        drawn = (*vehicles[0].linear_model.outputs, *closing)
+        noise = measurement_noise(how, drawn, samples)
+        self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""

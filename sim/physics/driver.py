@@ -6,6 +6,7 @@ A driver receives the measurements after noise and quantisation. The request tha
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -166,10 +167,10 @@ class SemiActiveDriver:
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
         """See `Driver.start`."""
         from models.suspension.damper_range import range_of
-        from models.vehicle.semi_active_coefficients import numbers_of
+        from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
         self._range = range_of([vehicle.adjustable for vehicle in vehicles], vehicles[0].linear_model.inputs)
-        self._numbers = numbers_of(self._laws, vehicles)
+        self._numbers_at = partial(numbers_at, numbers_of(self._laws, vehicles), self._range)
         self._signals = len(self.measured)
         if self._range.bent is not None:
             self.measured = (*self.measured, *closing_names(vehicles[0]))
@@ -177,9 +178,7 @@ class SemiActiveDriver:
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         """See `Driver.step`."""
-        from models.vehicle.semi_active_coefficients import numbers_at
-
-        numbers = numbers_at(self._numbers, self._range, y[:, self._signals :], slice(None))
+        numbers = self._numbers_at(y[:, self._signals :], slice(None))
         return self._laws[0].coefficients(y[:, : self._signals], numbers), state
 
 

@@ -222,7 +222,7 @@ class _Loop:
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
             if one is not None:
                 groups.setdefault((_kind(one), steps_per_sample(implementation, timestep)), []).append(i)
-        computers = []
+        computers, names = [], [self.readout.names[i] for i in self.seen]
         for (_, steps), some in groups.items():
             mine, cars, around = [controllers[i] for i in some], [vehicles[i] for i in some], [how[i] for i in some]
             heights = self.heights[:, share][:, some]
@@ -242,10 +242,7 @@ class _Loop:
                 linear = [one for one in mine if isinstance(one, Controller)]
                 driver = LinearDriver(linear, preview_forces(linear, cars, heights, timestep, len(course.now)))
             runs = slice(None) if len(some) == len(vehicles) else np.array(some)
-            computer = Computer(driver, runs, around, actuators, heights)
-            computer.start(cars, timestep, len(course.now))
-            computer.reads_from([self.readout.names[i] for i in self.seen])
-            computers.append(computer)
+            computers.append(Computer(driver, runs, cars, around, actuators, names, heights, timestep, len(course.now)))
         return computers
 
     def _map(self, actuators: Actuators) -> Array:
@@ -284,6 +281,7 @@ class _Loop:
         qpos, qvel, activations = batch.bind("qpos"), batch.bind("qvel"), batch.bind("act")
         measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
+        speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
         batch.forward(stage=stage)
         nq, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], of_reading.shape[2]
@@ -332,7 +330,7 @@ class _Loop:
                 if held is not None:
                     pushed[:, readout.pushed] = held[k, :, :loads]
                     if tyres:
-                        controls[:, tyres] = held[k][:, [loads + wheel for wheel in wheels]]
+                        controls[:, tyres] = held[k][:, speeds]
                 if felt:
                     heights[:, readout.mocap] = level[i]
                     batch.forward(some)

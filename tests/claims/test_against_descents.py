@@ -12,7 +12,7 @@ from synth.design.descent.landscape import Work
 from synth.design.feedback import FeedbackDesign, design_feedback
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
-from tests.claims.test_bounds_hold import of_lists
+from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support.commands import attacks
 from tests.support.multistart import Loops, best_of_many, random_case
 
@@ -85,9 +85,7 @@ def test_a_law_with_states_ends_at_a_count(monkeypatch):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(
-    ("m", "order", "seed", "period"), [(1, 6, 0, None), (3, 3, 1, None), (3, 6, 1, 0.02), (3, None, 0, 0.02)]
-)
+@pytest.mark.parametrize(("m", "order", "seed", "period"), [(1, 6, 0, None), (3, 3, 1, None), (3, 6, 1, 0.02)])
 def test_no_design_of_eight_states_takes_long(m, order, seed, period, monkeypatch):
     """A design of 8 unstable states ends at the limit of its work, and finds a law or says what stopped it."""
     made, begin = list[Work](), Work.__init__
@@ -134,7 +132,7 @@ def check_not_behind(plant: GeneralizedPlant, Cy: Array, found: FeedbackDesign |
             assert not np.isfinite(norm)
 
 
-@pytest.mark.parametrize("seed", [1, *attacks(range(0, 60, 3))])
+@pytest.mark.parametrize("seed", [1, *attacks(range(0, 60, 5))])
 def test_no_static_design_is_behind_many_descents(seed):
     """No static design of a random plant is more than 1 % behind the best of 30 descents with comparable gains."""
     plant, Cy, _ = random_case(seed)
@@ -144,7 +142,7 @@ def test_no_static_design_is_behind_many_descents(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(2, 60, 6))
+@pytest.mark.parametrize("seed", range(2, 60, 12))
 def test_no_sampled_static_design_is_behind_many_descents(seed):
     """No static design for a sampled loop is more than 1 % behind the best of 30 descents with comparable gains."""
     plant, Cy, period = random_case(seed)

@@ -14,7 +14,7 @@ from synth.analysis.rigorous import definiteness
 from synth.design.two_step import two_step_design
 from synth.plant import double_double as extended
 from synth.plant.generalized import Feedback, GeneralizedPlant
-from tests.claims.test_bounds_hold import of_lists
+from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support import exactly
 from tests.support.commands import attacks
 

@@ -267,4 +267,4 @@ def test_printed_and_logged(capsys, monkeypatch, tmp_path):
     forged.write_bytes(written(changed))
     capsys.readouterr()
     assert inspect([str(forged), "--json"]) == 1
-    assert "the iri is not that of the road" in capsys.readouterr().out
+    assert "iri.iri_mean.road" in capsys.readouterr().out

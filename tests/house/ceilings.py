@@ -23,45 +23,45 @@ COLUMNS = ("source", "tests", "docs")
 TABLE = """
 what all commands share: files, options, checks, tables of numbers   2366   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
-    tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,wrong_inputs}.py
-vehicle file, types, equations, MJCF                           4831   1402    197
+    tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
+vehicle file, types, equations, MJCF                           4831   1402    203
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
-laws and families in files                                      242    330     92
+laws and families in files                                      242    330     91
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     153    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
 laws in Python                                                  598    694     99
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            185    329    123
+custom vehicle types                                            185    329    124
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1568   1008    140
+semi-active dampers and laws                                   1568   1008    143
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
-    tests/*/test_{dampers,laws_held,measured_dampers}.py tests/*/test_semi_active*.py
+    tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1669   1133     37
+curves of dampers and springs, statistical linearisation       1669   1133     40
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      403    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      814   1557     50
+loads, links, tyre damping                                      814   1557     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1082    977      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1674    613     89
+analytic and random roads                                      1674    613     91
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py tests/models/test_roads.py
     docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      400   1105      0
+anti-windup, integrals, compatible options                      400   1106      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    361      0
@@ -75,27 +75,27 @@ uncertainty: fragility, mu, boxes                              2853    932     6
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2378   1452    111
+sampled data: norm, bound, designs, rates                      2378   1451    110
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3284   1424     90
+export: C99, fixed point, FMI, MATLAB                          3284   1424     94
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                          1007    727    113
+full-order H-infinity                                          1007    727    114
     synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2009    761      0
+static search, descent, refine                                 2009    759      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 two steps, LMI path                                            2691   1002     35
     synth/design/{__init__,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_feedback,sdp,structured_barrier,unobservable}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
-certificates, norms, lower bounds                              3325   2237     66
+certificates, norms, lower bounds                              3325   2237     68
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
-    tests/*/test_{bounds_hold,certificate,exact_proofs,false_certificates,lower_bound,noise,norm,stability,zeros}.py
+    tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
 plant algebra, filters, any plant                              2249   1817    318
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
@@ -106,20 +106,20 @@ synth command, controller record, designer                     3147    638    15
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
-log re-verification                                             844    600     42
+log re-verification                                             846    600     42
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2213   1135     45
+recordings: MCAP, Foxglove, Rerun                              2213   1135     46
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               5769   1722     79
+page and figures                                               5769   1722     76
     sim/report/* models/figures/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2479   1618    167
+campaigns                                                      2479   1618    163
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               853    405     49
+gallery of papers                                               853    405     50
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2566    876     66
+margins in physics                                             2566    876     67
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1886    581     37
@@ -130,7 +130,7 @@ ride metrics and their expectation                             2272   1123      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                 952    313     30
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    1694    867     11
+MuJoCo loop                                                    1688    867     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                               1046    418      0
@@ -139,11 +139,11 @@ linear responses                                               1046    418      
 runs, verdict, their text                                      3129    937     60
     sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1120   1043    350
+commands that drive                                            1120   1043    349
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3725   1520
+house, pages, benchmarks                                          0   3725   1512
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*

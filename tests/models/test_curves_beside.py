@@ -10,7 +10,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import parse_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.models.test_dampers import BUMP, DAMPER, LATE, QUARTER
+from tests.models.test_semi_active_dampers import BUMP, DAMPER, LATE, QUARTER
 from tests.support.commands import attacks, refused
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE
 

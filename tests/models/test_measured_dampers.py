@@ -19,7 +19,7 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from synth.vehicle.designer import Designer
 from tests.models.test_curves_beside import FRICTION, ROUGH, check_physics, off, runs, with_tables
-from tests.models.test_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
+from tests.models.test_semi_active_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
 from tests.support.analysed import switched
 from tests.support.commands import attacks, refused
 

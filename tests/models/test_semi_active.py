@@ -1,4 +1,4 @@
-"""The semi-active laws that ship: what each asks for; `test_laws_held.py` has what MuJoCo and the exact response make of it."""
+"""The semi-active laws that ship: what each asks for. `test_semi_active_in_mujoco.py` has their runs."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle
 from sim.runs.report import controller_lines, controller_object
 from sim.runs.run import Run, run_controllers, sample_times
-from tests.models.test_dampers import BUMP, DAMPER, HALF, QUARTER
+from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER
 from tests.support.analysed import simulate
 
 NAMES = [name for name in LAWS if name != "skyhook_modal"]

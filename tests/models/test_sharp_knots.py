@@ -17,7 +17,7 @@ from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.models.test_curves_beside import with_tables
-from tests.models.test_dampers import BOTH
+from tests.models.test_semi_active_dampers import BOTH
 from tests.support.analysed import predict, predict_replayed, simulate
 from tests.support.commands import in_the_suite
 

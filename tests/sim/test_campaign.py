@@ -29,7 +29,7 @@ from sim.campaign.manifest import locked, read_manifest
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
-from tests.models.test_dampers import BOTH
+from tests.models.test_semi_active_dampers import BOTH
 from tests.support.analysed import sampled_response, simulate
 from tests.support.commands import prose, refused
 from tests.support.curved import DIGRESSIVE, curved_text

@@ -14,7 +14,7 @@ from synth.design.two_step import two_step_design
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
-from tests.claims.test_bounds_hold import of_lists
+from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support.commands import attacks
 from tests.support.shared import nothing_shared
 from tests.synth.test_static import random_plant

@@ -25,7 +25,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
-from tests.claims.test_bounds_hold import of_lists
+from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support.commands import attacks
 from tests.synth.test_any_plant import asked, drawn
 

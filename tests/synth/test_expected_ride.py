@@ -82,8 +82,8 @@ def test_the_comfort_template():
     assert designer.vehicle.filters["sprung_acceleration"].name == "iso2631_wk"
     passive, comfort = (designer.design(name) for name in ("passive", "comfort"))
     ride = {each.name: expected_ride(designer.vehicle, each) for each in (passive, comfort)}
-    assert f"{ride['comfort']:.3g} instead of {ride['passive']:.3g} m/s2" in prose(page.text)
+    assert f"falls from {ride['passive']:.3g} (passive) to {ride['comfort']:.3g} m/s2" in prose(page.text)
     spectrum = Iso8608("C", speed=20.0).spectrum
     found = [expect(designer.vehicle, each, spectrum, 1e-3, 10.0) for each in (comfort, passive)]
     loads = [one.mean["dynamic_load"] for one in found if one is not None]
-    assert f"{100 * (loads[0] / loads[1] - 1):.0f} % more dynamic load" in prose(page.text)
+    assert f"the dynamic tyre load rises by {100 * (loads[0] / loads[1] - 1):.0f} %" in prose(page.text)

@@ -28,7 +28,7 @@ from synth.design.static import Candidate
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError
 from synth.vehicle.designer import Designer
-from tests.claims.test_bounds_hold import of_lists
+from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support.commands import attacks
 
 Posed = tuple[GeneralizedPlant, np.ndarray, np.ndarray]

@@ -20,7 +20,7 @@ from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.plant.units import speed
-from tests.claims.test_bounds_hold import KINDS, a_plant
+from tests.claims.test_no_controller_beats_a_bound import KINDS, a_plant
 from tests.models.test_units import Moved, any_plant, in_other_units
 from tests.support.active_suspension import PRINTED, SCENARIOS, active_suspension
 from tests.support.commands import attacks, in_the_suite

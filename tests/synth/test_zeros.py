@@ -15,8 +15,8 @@ from synth.analysis.rigorous import radius_of_solution
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
-from tests.claims.test_bounds_hold import a_plant, in_other_units
 from tests.claims.test_lower_bound import full_order_norm
+from tests.claims.test_no_controller_beats_a_bound import a_plant, in_other_units
 from tests.support.commands import attacks
 
 KIND = "as many of each"

@@ -18,7 +18,7 @@ from sim.response.response import Response
 from sim.runs.agreement import SLACK
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
-from tests.models.test_dampers import DAMPER
+from tests.models.test_semi_active_dampers import DAMPER
 from tests.support.commands import attacks
 
 KINDS = ("quarter_car", "half_car", "full_car")
