@@ -2,8 +2,8 @@
 
 Every sample starts from what the run measured and from the law's recorded states, so no error of one sample hides in the next.
 Measurements must be the run's signals at the sample, and the law receives them with noise and quantisation. Commands must be
-those of the law, within the limits of adjustable dampers, and act `delay` samples later. A law in Python, an FMU and exported code are
-started again and receive the same measurements.
+those of the law, within the limits of adjustable dampers, and act `delay` samples later. A law in Python, an FMU and exported
+code are started again and receive the same measurements.
 """
 
 from collections.abc import Iterator

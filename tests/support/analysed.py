@@ -10,13 +10,9 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.linear import measurement_noise as noise
 from sim.linear import sampled_response as linear
-from sim.linear.switched_response import Decisions, Switched
-from sim.linear.switched_response import switched as _switched
 from sim.physics import energy as balance
 from sim.physics import simulate as physics_of
 from sim.physics.driver import RunDriver
@@ -28,7 +24,6 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, SampledClosedLoop
 
 Exponential = Callable[[Array], Array]
-AnyController = Controller | Programmed | SemiActive
 
 
 def loop(vehicle: Vehicle, controller: Controller, time: Array) -> LoopModel:
@@ -42,14 +37,6 @@ def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) ->
 
 def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledClosedLoop:
     return LoopModel(vehicle, controller, timestep).closed_loop
-
-
-def noise_rms(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    return noise.noise_rms(LoopModel(vehicle, controller, timestep), samples)
-
-
-def most_quantised(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    return noise.most_quantised(LoopModel(vehicle, controller, timestep), samples)
 
 
 def sampled_response(
@@ -66,10 +53,6 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     return linear.continuous_response(loop(vehicle, controller, time), RoadInput(vehicle, road, time))
 
 
-def switched(vehicle: Vehicle, road: Road, time: Array, decisions: Decisions | None, made: Array) -> Switched:
-    return _switched(RoadInput(vehicle, road, time), decisions, made, ())
-
-
 def simulate(
     vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array, threads: int = 1
 ) -> PhysicsRuns:
@@ -83,18 +66,6 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 
 def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
     return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
-
-
-def predict_replayed(
-    vehicle: Vehicle, controller: AnyController, road: Road, time: Array, physics: Response, asked: Array
-) -> Prediction:
-    return prediction.predict_replayed(controller, RoadInput(vehicle, road, time), physics, asked)
-
-
-def predict_switched(
-    vehicle: Vehicle, controller: AnyController, road: Road, time: Array, physics: Response, near: float
-) -> Prediction:
-    return prediction.predict_switched(controller, RoadInput(vehicle, road, time), physics, near)
 
 
 def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:
