@@ -7,6 +7,7 @@ Public names, imported when they are first used; all units are SI:
 - their ride, travel and grip: `measure_run`, and `RunMetrics`
 - found in MuJoCo beside what is predicted: `find_margins`, and `identify`, the frequency response
 - their logs: `run_log`, and `record`
+- own control laws of many runs side by side: `Driver`
 
 Whatever else a module holds may move without notice.
 """
@@ -28,6 +29,7 @@ except Exception as error:  # a file or a folder of the user's has the name of a
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # what type checkers and editors see
+    from sim.physics.driver import Driver
     from sim.recording.files import record
     from sim.recording.run_records import run_log
     from sim.response.response import Response

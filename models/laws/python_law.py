@@ -7,7 +7,7 @@ log, result or text of a vehicle file can give another one.
 import hashlib
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.files import origin, read_bytes, read_text
+from models.laws.nonlinear import NonlinearLaw
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
@@ -90,7 +91,7 @@ class PythonLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class Programmed:
+class Programmed(NonlinearLaw):
     """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
@@ -98,14 +99,14 @@ class Programmed:
         measured: the signals y, q of them.
         law: the law as the vehicle file names it.
         source: text of the law's file, or of the function, as far as Python knows it.
-        function: the function itself, which runs in this process; None for a law in a file.
+        function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
 
     name: str
     measured: tuple[str, ...]
     law: PythonLaw
     source: str = field(repr=False)
-    function: Callable[..., Any] | None = None
+    function: Any = None
 
     @property
     def kind(self) -> str:
@@ -113,9 +114,24 @@ class Programmed:
         return self.law.with_article
 
     @property
-    def states(self) -> int:
-        """Zero: the law is not linear."""
-        return 0
+    def serial(self) -> bool:
+        """See `NonlinearLaw`: only one thread at a time executes Python."""
+        return True
+
+    @property
+    def own_delay(self) -> float:
+        """See `NonlinearLaw`: an FMU may have one."""
+        if not self.law.is_fmu or self.law.path is None:
+            return 0
+        from models.vehicle.foreign_fmu import own_delay
+
+        return own_delay(self.law.path)
+
+    def preview_samples(self, period: float) -> int:
+        """See `NonlinearLaw`."""
+        if is_driver(self.function):
+            return int(getattr(self.function, "ahead", 0))
+        return 0 if self.law.preview is None else samples_ahead(self.law.preview, period)
 
     @property
     def sha256(self) -> str:
@@ -136,8 +152,13 @@ class Programmed:
         return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
 
 
-def of_function(function: Callable[..., Any], measurable: Sequence[str]) -> Programmed:
-    """Returns the controller of a function; its attributes `measured` and `preview` [s] are as in a vehicle file.
+def is_driver(given: object) -> bool:
+    """Returns True for an object with the methods of `sim.Driver`."""
+    return callable(getattr(given, "start", None)) and callable(getattr(given, "step", None))
+
+
+def of_function(function: Any, measurable: Sequence[str]) -> Programmed:
+    """Returns the controller of a function, or of a driver; its attributes `measured` and `preview` [s] are as in a vehicle file.
 
     Args:
         measurable: signals that a controller can measure, and does if the function has no attribute `measured`.

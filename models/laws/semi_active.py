@@ -17,6 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import number_within
 from models.common.errors import InputError, listing, quoted
+from models.laws.nonlinear import NonlinearLaw
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -211,7 +212,7 @@ class SemiActiveLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class SemiActive:
+class SemiActive(NonlinearLaw):
     """Controller with a shipped semi-active law; no linear claim is made about it.
 
     Attributes:
@@ -228,11 +229,6 @@ class SemiActive:
     def kind(self) -> str:
         """Kind of its law, in words, with an article."""
         return "a semi-active law"
-
-    @property
-    def states(self) -> int:
-        """Zero: the law is not linear."""
-        return 0
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -11,13 +11,13 @@ from models.common.arrays import Array
 from models.common.printed import finite
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.road import RoadInput, track_width
+from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.linear.dampers import is_linear
 from sim.linear.sampled_response import readings_of_loads
-from sim.physics.driver import preview_forces
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
@@ -41,9 +41,9 @@ class ReferenceResponse:
     def __init__(self, runs: Sequence[PlannedRun], watched: MonitoredBatch, first: int | None, loaded: bool) -> None:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle, self.watched, timestep = runs[0].vehicle, watched, watched.timestep
-        vehicles, controllers = [run.vehicle for run in runs], [run.controller for run in runs]
+        vehicles = [run.vehicle for run in runs]
         heights = np.concatenate([watched.now, watched.beyond]) if len(watched.beyond) else watched.now
-        ahead = preview_forces(controllers, vehicles, heights, timestep, len(watched.now))
+        ahead = _preview_forces(runs, heights, timestep, len(watched.now))
         loads = watched.held  # an acceleration is measured before a new load acts
         felt = None if loads is None else np.concatenate([np.zeros_like(loads[:1]), loads[:-1]])
         systems = {run.system: run for run in runs}
@@ -123,6 +123,22 @@ def _system(vehicle: Vehicle, controller: Driver, timestep: float) -> tuple[Arra
     of_road = (Gamma_u @ G @ model.jump, C @ model.jump + model.Cr, Gamma_r, np.zeros_like(model.Cr))
     of_loads = (Gamma_l, model.Dh, Gamma_u @ felt, model.D @ felt)
     return Phi + Gamma_u @ G, C, *of_road, *of_loads, Gamma_u @ ahead, model.D @ ahead
+
+
+def _preview_forces(runs: Sequence[PlannedRun], heights: Array, timestep: float, samples: int) -> Array | None:
+    """Returns the forces by which linear controllers answer the road ahead [N], shape (T, N, m), or None if none does.
+
+    Args:
+        heights: road heights from the start to as far beyond the end as controllers look [m], shape (.., N, r).
+    """
+    ahead = [getattr(run.controller, "preview", None) for run in runs]
+    if not any(ahead):
+        return None
+    forces = np.zeros((samples, len(runs), len(runs[0].vehicle.linear_model.inputs)))
+    for i, (one, run) in enumerate(zip(ahead, runs, strict=True)):
+        if one is not None:
+            forces[:, i] = one.forces(heights[:, i], steps_per_sample(run.vehicle.implementation, timestep), timestep, samples)
+    return forces
 
 
 def _row(row: Array, inputs: Array) -> Array:

@@ -29,6 +29,7 @@ class Actuators:
     the force limit and the lag of actuators that push.
 
     Attributes:
+        forces: number m of forces.
         size: number of commands.
         closing: map from (qpos, qvel) to the closing velocity of every suspension, shape (m, nq + nv), 0 for actuators that push;
             (0, nq + nv) without adjustable dampers.
@@ -38,20 +39,20 @@ class Actuators:
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
         first = vehicles[0]
-        self.vehicles, self._m, self._lagging = vehicles, len(first.linear_model.inputs), readout.lagging
-        self.size, self.lags, self._of, self._ramps = self._m, False, None, np.zeros(0, dtype=int)
+        self.vehicles, self.forces, self._lagging = vehicles, len(first.linear_model.inputs), readout.lagging
+        self.size, self.lags, self._of, self._ramps = self.forces, False, None, np.zeros(0, dtype=int)
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
         if not first.dampers:
             return
         from models.suspension.damper_range import range_of
 
-        self.size, self._of = 2 * self._m, range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
-        self._nominal = np.zeros((len(vehicles), self._m))
+        self.size, self._of = 2 * self.forces, range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
+        self._nominal = np.zeros((len(vehicles), self.forces))
         for i, vehicle in enumerate(vehicles):
             for one in vehicle.adjustable:
                 self._nominal[i, first.linear_model.inputs.index(one.force)] = one.nominal
         adjustable, speeds = self._of.adjustable, readout.stretching.shape[1]
-        self.closing, self.at_rest = np.zeros((self._m, readout.of_state.shape[1])), self._of.at_rest
+        self.closing, self.at_rest = np.zeros((self.forces, readout.of_state.shape[1])), self._of.at_rest
         self.closing[adjustable, -speeds:] = -readout.stretching[adjustable]
         self.lags = bool(np.any(readout.lagging[adjustable] >= 0))
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
@@ -74,7 +75,7 @@ class Actuators:
 
     def apply(self, controls: Array, commands: Array) -> None:
         """Sets MuJoCo's controls, shape (N, nu), of which the actuators are the first."""
-        controls[:, : self._m] = commands[:, : self._m]
+        controls[:, : self.forces] = commands[:, : self.forces]
         if len(self._ramps):
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]
 
@@ -92,7 +93,7 @@ class Actuators:
             j = inputs.index(one.force)
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._nominal[:, j] + beyond
-            values[:, names.index(one.missing)] = commands[..., self._m + j]
+            values[:, names.index(one.missing)] = commands[..., self.forces + j]
             if one.damper.pair is not None:  # its force is the sum of several actuators
                 velocity = values[:, names.index(velocities[one.force])]
                 shaped = [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)]

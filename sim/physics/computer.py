@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import Actuators, closing_names
@@ -78,6 +79,8 @@ class Computer:
                 ahead = np.moveaxis(coming, 0, 2)
             self.used = self._state
             requested, self._state = self.driver.step(k, y, ahead, self._state)
+            if not k:
+                self._check(np.shape(requested))
             computed = self._actuators.commands(requested, closing, self.runs, self.driver.requests)
             if len(self._waiting) == 1:
                 commands[self.runs] = computed
@@ -86,6 +89,15 @@ class Computer:
         if self._changes[phase] and len(self._waiting) > 1:
             due = (k - self._late) // self.period % len(self._waiting)  # before the first arrives, its place in the ring is 0
             commands[self.runs] = self._waiting[due, self._each]
+
+    def _check(self, shape: tuple[int, ...]) -> None:
+        """Refuses requests of a user's driver that have another shape than the actuators need."""
+        needed = len(self._each), self._actuators.size if self.driver.requests == "commands" else self._actuators.forces
+        if shape != needed:
+            raise InputError(
+                f"driver {type(self.driver).__name__}: step returns {self.driver.requests} of shape {shape}; expected {needed}, "
+                "a row per run"
+            )
 
 
 def measurement_noise(how: Sequence[Implementation], names: Sequence[str], samples: int) -> Array:

@@ -7,18 +7,19 @@ A driver receives the measurements after noise and quantisation. The request tha
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.python_law import Programmed, samples_ahead
+from models.laws.nonlinear import NonlinearLaw
+from models.laws.python_law import Programmed, is_driver
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, code_of
 from synth.controller.controller import Driver as Law
 
 if TYPE_CHECKING:
@@ -30,8 +31,27 @@ WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, 
 Request = Literal["forces", "coefficients", "commands"]
 
 
+@runtime_checkable
 class Driver(Protocol):
     """Control law of N runs; a single run is N = 1.
+
+    `sim.run` takes an object with these attributes and methods as a controller. `start` begins each repetition of a run, so a
+    driver that keeps anything to itself has to reset it there.
+
+    Example:
+        >>> import numpy as np
+        >>> from models import Bump, read_vehicle
+        >>> from sim import run
+        >>> class Smoothed:
+        ...     measured, ahead, requests = ("sprung_velocity",), 0, "forces"
+        ...     def start(self, vehicles, timestep):
+        ...         return np.zeros((len(vehicles), 1))
+        ...     def step(self, k, y, ahead, state):
+        ...         state = 0.9 * state + 0.1 * y
+        ...         return -2000.0 * state, state
+        >>> [smoothed] = run(read_vehicle("quarter_car"), Smoothed(), Bump(height=0.05), duration=1.0)
+        >>> smoothed.passed
+        True
 
     Attributes:
         measured: names of the q signals that it reads, in their order. Names of `sim.physics.actuators.closing_names` are those
@@ -67,7 +87,7 @@ class Driver(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedForces:
+class RecordedForces(NonlinearLaw):
     """Commands that are known beforehand, whatever the measurements.
 
     Attributes:
@@ -101,9 +121,8 @@ class LinearDriver:
     ahead = 0
     requests: Request = "forces"
 
-    def __init__(self, controllers: Sequence[Controller], ahead: Array | None = None) -> None:
-        """Takes N controllers, and their forces from the road ahead at every timestep [N], shape (T, N, m), or None."""
-        self._controllers, self._ahead = controllers, ahead
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        self._controllers = controllers
         self.measured = tuple({name for one in controllers for name in one.measured})
         self._windup: Array | None = None
         self._range: CoefficientRange | None = None
@@ -134,6 +153,12 @@ class LinearDriver:
             most = [vehicle.limits.actuator_force for vehicle in vehicles]
             self._range = range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs, most)
             self.measured = (*self.measured, *closing_names(first))
+        self.ahead = max(one.preview_samples(period) for one in self._controllers)
+        self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
+        for i, one in enumerate(self._controllers):
+            if one.preview is not None:
+                weights = one.preview.weights(period)
+                self._preview[i, ..., : len(weights)] = np.moveaxis(weights, 0, 2)
         return np.zeros((count, k))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
@@ -145,8 +170,8 @@ class LinearDriver:
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]
-        if self._ahead is not None:
-            forces = forces + self._ahead[k]
+        if ahead is not None:
+            forces = forces + np.matvec(self._preview.reshape(*forces.shape, -1), ahead.reshape(len(y), -1))
         if self._windup is not None and self._range is not None:
             closing = y[:, q:] if y.shape[1] > q else None
             state = state + np.matvec(self._windup, self._range.clipped_off(forces, closing))
@@ -187,18 +212,17 @@ class PythonDriver:
 
     requests: Request = "forces"
 
-    def __init__(
-        self, controller: Programmed, period: float, failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()
-    ) -> None:
+    ahead = 0
+
+    def __init__(self, controller: Programmed, failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()) -> None:
         """Takes the controller.
 
         Args:
-            period: time between two samples [s].
             failures: receives failures, whose runs go on without forces, or None to raise them.
             numbers: keys of the N runs in `failures`.
         """
-        self._controller, self._period, self._failures, self._numbers = controller, period, failures, numbers
-        self.measured, self.ahead = controller.measured, preview_samples(controller, period)
+        self._controller, self._failures, self._numbers = controller, failures, numbers
+        self.measured = controller.measured
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
         """Executes the law's file for each run. See `Driver.start`.
@@ -209,6 +233,8 @@ class PythonDriver:
         from models.laws.python_runtime import runs_of
 
         self._timestep, self._forces = timestep, len(vehicles[0].linear_model.inputs)
+        self._period = steps_per_sample(vehicles[0].implementation, timestep) * timestep
+        self.ahead = self._controller.preview_samples(self._period)
         self._laws: LawRuns | FileRuns = runs_of(self._controller, self._forces)
         self._gone, runs = np.zeros(len(vehicles), dtype=bool), list[int]()
         for i, vehicle in enumerate(vehicles):
@@ -263,51 +289,53 @@ class RecordedDriver:
         return self._commands[k], state
 
 
-def preview_samples(controller: RunDriver, period: float) -> int:
-    """Returns the number of road heights that a controller receives under each wheel, the present one included; 0 without
-    preview.
-    """
-    if isinstance(controller, Programmed) and controller.law.preview is not None:
-        return samples_ahead(controller.law.preview, period)
-    if isinstance(controller, Controller) and controller.preview is not None:
-        return controller.preview.samples(period)
-    return 0
-
-
 def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], timestep: float) -> int:
     """Returns the largest number of timesteps [s] by which a controller previews its road beyond a run's end."""
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
-    return max((max(preview_samples(driver, steps * timestep) - 1, 0) * steps for driver, steps in pairs), default=0)
+    return max((max(one.preview_samples(steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller: without an FMU's own delay, and none for known commands."""
+    """Returns the implementation around a controller: without the delay that it has itself, and none for known commands."""
     how = vehicle.implementation
     if isinstance(controller, RecordedForces):
         return Implementation()
-    if not isinstance(controller, Programmed) or not controller.law.is_fmu or controller.law.path is None or not how.delay:
-        return how
-    from models.vehicle.foreign_fmu import own_delay
-
-    return replace(how, delay=max(how.delay - own_delay(controller.law.path), 0))
+    return replace(how, delay=max(how.delay - controller.own_delay, 0)) if how.delay else how
 
 
-def preview_forces(
-    controllers: Sequence[RunDriver], vehicles: Sequence[Vehicle], heights: Array, timestep: float, samples: int
-) -> Array | None:
-    """Returns the forces by which N linear controllers answer the road ahead [N], shape (T, N, m), or None if none does.
+def kind_of(controller: RunDriver) -> tuple[object, ...]:
+    """Returns a key that is equal for controllers that one driver serves side by side."""
+    if (code := code_of(controller)) is not None:
+        return "code", code.sha256
+    match controller:
+        case Programmed():
+            return "python", id(controller)
+        case SemiActive():
+            return "semi-active", controller.law.name, controller.law.measured
+        case _:
+            return (type(controller),)
+
+
+def driver_of(
+    controllers: Sequence[RunDriver], failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()
+) -> Driver:
+    """Returns the driver of N controllers whose `kind_of` is equal.
 
     Args:
-        heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
-        timestep: [s].
-        samples: T.
+        failures, numbers: see `PythonDriver`.
     """
-    ahead = [one.preview if isinstance(one, Controller) else None for one in controllers]
-    if not any(ahead):
-        return None
-    forces = np.zeros((samples, len(controllers), len(vehicles[0].linear_model.inputs)))
-    for i, (one, vehicle) in enumerate(zip(ahead, vehicles, strict=True)):
-        if one is not None:
-            forces[:, i] = one.forces(heights[:, i], steps_per_sample(vehicle.implementation, timestep), timestep, samples)
-    return forces
+    first, some = controllers[0], cast("Any", controllers)
+    if code_of(first) is not None:
+        from sim.physics.exported_code import CodeDriver
+
+        return CodeDriver(some)
+    match first:
+        case Programmed():
+            return first.function if is_driver(first.function) else PythonDriver(first, failures, numbers)
+        case SemiActive():
+            return SemiActiveDriver(some)
+        case RecordedForces():
+            return RecordedDriver(some)
+        case Controller():
+            return LinearDriver(some)

@@ -13,8 +13,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
@@ -22,16 +20,11 @@ from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer
 from sim.physics.driver import (
-    Driver,
     Failure,
-    LinearDriver,
-    PythonDriver,
-    RecordedDriver,
-    RecordedForces,
     RunDriver,
-    SemiActiveDriver,
+    driver_of,
     implementation_around,
-    preview_forces,
+    kind_of,
 )
 from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
@@ -221,26 +214,15 @@ class _Loop:
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
             if one is not None:
-                groups.setdefault((_kind(one), steps_per_sample(implementation, timestep)), []).append(i)
+                groups.setdefault((kind_of(one), steps_per_sample(implementation, timestep)), []).append(i)
         computers, names = [], [self.readout.names[i] for i in self.seen]
-        for (_, steps), some in groups.items():
-            mine, cars, around = [controllers[i] for i in some], [vehicles[i] for i in some], [how[i] for i in some]
-            heights = self.heights[:, share][:, some]
-            driver: Driver
+        for some in groups.values():
+            mine = [one for i in some if (one := controllers[i]) is not None]
+            cars, around = [vehicles[i] for i in some], [how[i] for i in some]
             if code_of(mine[0]) is not None:
-                from sim.physics.exported_code import CodeDriver
-
-                driver = CodeDriver(mine)
                 around = [replace(one, delay=0.0, quantisation={}) for one in around]  # the code has its own
-            elif isinstance(mine[0], Programmed):
-                driver = PythonDriver(mine[0], steps * timestep, course.failures, [numbers[i] for i in some])
-            elif isinstance(mine[0], SemiActive):
-                driver = SemiActiveDriver([one for one in mine if isinstance(one, SemiActive)])
-            elif isinstance(mine[0], RecordedForces):
-                driver = RecordedDriver([one for one in mine if isinstance(one, RecordedForces)])
-            else:
-                linear = [one for one in mine if isinstance(one, Controller)]
-                driver = LinearDriver(linear, preview_forces(linear, cars, heights, timestep, len(course.now)))
+            driver = driver_of(mine, course.failures, [numbers[i] for i in some])
+            heights = self.heights[:, share][:, some]
             runs = slice(None) if len(some) == len(vehicles) else np.array(some)
             computers.append(Computer(driver, runs, cars, around, actuators, names, heights, timestep, len(course.now)))
         return computers
@@ -346,17 +328,6 @@ class _Loop:
             largest, overflowed = recorder.extremes(values, requested, kept)
             positions, velocities = readings[..., :nq], readings[..., nq:moved]
             yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names)
-
-
-def _kind(controller: RunDriver) -> tuple[object, ...]:
-    """Returns a key that is equal for controllers that one driver serves side by side."""
-    if (code := code_of(controller)) is not None:
-        return "code", code.sha256
-    if isinstance(controller, Programmed):
-        return "python", id(controller)
-    if isinstance(controller, SemiActive):
-        return "semi-active", controller.law.name, controller.law.measured
-    return (type(controller),)
 
 
 class _Recorder:

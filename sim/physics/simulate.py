@@ -19,16 +19,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.threads import cores, side_by_side
 from models.kinds.signals import Signal, kept_signals
-from models.laws.linear import LinearLaw
-from models.laws.python_law import Programmed
 from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
-from models.vehicle.vehicle import Vehicle
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -105,9 +102,7 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     now, midway = (np.stack([getattr(road, name) for road in once], axis=1) for name in ("heights", "midway"))
     ahead = steps_ahead(vehicles, controllers, timestep)
     beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
-    shares = shared(
-        len(vehicles), 1 if any(isinstance(one, Programmed) for one in controllers) else threads or cores()
-    )  # only one thread at a time executes Python
+    shares = shared(len(vehicles), 1 if any(one.serial for one in controllers) else threads or cores())
     edges = (0, len(time))
     course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held_on(inputs))
     block = _whole(in_shares(course, shares))
@@ -122,19 +117,14 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
-    laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
-    states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
-    scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
+    states = [kept_signals(range(1, one.states + 1)) for one in controllers]
+    periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
+    scales = [one.state_scale(period) for one, period in zip(controllers, periods, strict=True)]
     kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
     kept[time >= diverged[:, None]] = np.nan
     kept[(time >= diverged[:, None]) & block.ran_away[:, None]] = np.inf
     measured = block.measured.swapaxes(0, 1)
     return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, requested, kept, states, measured, block.names)
-
-
-def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
-    """Returns the factor from the states that a law is run with to its own."""
-    return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -153,8 +143,8 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
     names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept", "measured")
-    arrays = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names)
-    return Block(0, values, *arrays, blocks[0].names)
+    arrays = {name: np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names}
+    return Block(0, values, **arrays, names=blocks[0].names)
 
 
 def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:

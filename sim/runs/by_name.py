@@ -10,13 +10,14 @@ from models.laws.python_law import of_function
 from models.roads.road import Road
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
+from sim.physics.driver import Driver as OwnDriver
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Driver, check_fits
 from synth.vehicle.designer import Designer
 
 ControllerLike = Annotated[
-    Driver | ControllerEntry | str | Callable[..., Any],
-    Must("a controller, its name, an entry of vehicle.controllers or a function", lambda value: True),
+    Driver | ControllerEntry | str | Callable[..., Any] | OwnDriver,
+    Must("a controller, its name, an entry of vehicle.controllers, a function or a driver", lambda value: True),
 ]
 
 
@@ -33,7 +34,8 @@ def run(
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
             necessary. A function is a law, too: law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the
             force [N], a number or shape (m,); law(sample, state) returns force and next state, as in a file. It measures the
-            signals of its attribute `measured`, or all that can be measured. A single controller gives a list of one run.
+            signals of its attribute `measured`, or all that can be measured. An object with the methods of `sim.Driver` is a law,
+            too. A single controller gives a list of one run.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: duration of the run [s].
         timestep: MuJoCo's timestep [s], and the controllers' sample period if the vehicle file has none.

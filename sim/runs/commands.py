@@ -7,12 +7,11 @@ code are started again and receive the same measurements.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
@@ -20,7 +19,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import roundings
 from sim.physics.actuators import closing_names
 from sim.physics.computer import measurement_noise
-from sim.physics.driver import Driver, PythonDriver, implementation_around, steps_ahead
+from sim.physics.driver import driver_of, implementation_around, steps_ahead
 from sim.physics.simulate import Commanded
 from sim.response.response import Response
 from synth.controller.controller import Controller, code_of
@@ -102,13 +101,17 @@ def compare_commands(controller: Law, road: RoadInput, physics: Response, comman
     y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
     samples = _Samples(due, period, y, velocities, _states_as_run(controller, commanded.states[due], period * h))
     late = 0 if coded else round(how.delay * period)
-    readings, answers = [*_readings(controller, road, physics, commanded, due)], []
-    for _ in range(3 if isinstance(controller, Programmed) else 1):
-        answers.append([*_commands(controller, road, samples, commanded, count, late)])
-        if (result := _worst([*readings, *answers[-1]], vehicle)).agrees:
-            return result
-    if len(answers) > 1 and any(np.any(a[2] != b[2]) for a, b in zip(*answers[-2:], strict=True)):
-        return CommandAgreement(**{**vars(_worst(readings, vehicle)), "repeatable": False})
+    readings = [*_readings(controller, road, physics, commanded, due)]
+
+    def answer() -> list[Difference]:
+        return [*_commands(controller, road, samples, commanded, count, late)]
+
+    result = _worst([*readings, *answer()], vehicle)
+    if result.agrees or not controller.serial:
+        return result
+    once, twice = answer(), answer()
+    if any(np.any(a[2] != b[2]) for a, b in zip(once, twice, strict=True)):
+        return replace(_worst(readings, vehicle), repeatable=False)
     return result
 
 
@@ -131,7 +134,7 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
 
 def _states_as_run(controller: Law, states: Array, period: float) -> Array:
     """Returns recorded states, which are those of the controller's own law, as those of the law that is run."""
-    return states / controller.law.of_state(period) if isinstance(controller, Controller) else states
+    return states / controller.state_scale(period)
 
 
 def _readings(controller: Law, road: RoadInput, physics: Response, commanded: Commanded, due: Array) -> Iterator[Difference]:
@@ -216,8 +219,7 @@ def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) ->
 
     of, whole = range_of([vehicle.adjustable], vehicle.linear_model.inputs), slice(None)
     numbers = numbers_at(numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
-    nominal = np.array([one.nominal for one in vehicle.adjustable])
-    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers) - nominal, samples.closing)
+    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers) - _nominal(vehicle), samples.closing)
     return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
 
 
@@ -226,14 +228,7 @@ def _again(controller: Law, road: RoadInput, samples: _Samples) -> Array:
     from models.suspension.damper_range import range_of
 
     vehicle, h = road.vehicle, road.timestep
-    driver: Driver
-    if code_of(controller) is not None:
-        from sim.physics.exported_code import CodeDriver
-
-        driver = CodeDriver([controller])
-    else:
-        assert isinstance(controller, Programmed), "other laws are evaluated by their formulas"
-        driver = PythonDriver(controller, samples.period * h)
+    driver = driver_of([controller])
     state = driver.start([vehicle], h)
     heights = np.concatenate([road.heights, road.ahead(steps_ahead([vehicle], [controller], h))])
     requests = []
@@ -250,4 +245,12 @@ def _again(controller: Law, road: RoadInput, samples: _Samples) -> Array:
     if not vehicle.dampers or driver.requests == "commands":
         return requested
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    if driver.requests == "coefficients":
+        return of.clip_coefficients(requested - _nominal(vehicle), samples.closing)
     return of.commands(np.concatenate([requested, samples.closing], axis=1))
+
+
+def _nominal(vehicle: Vehicle) -> Array:
+    """Returns the nominal coefficient of the damper at every input [N s/m], 0 for actuators that push, shape (m,)."""
+    nominal = {one.force: one.nominal for one in vehicle.adjustable}
+    return np.array([nominal.get(name, 0.0) for name in vehicle.linear_model.inputs])

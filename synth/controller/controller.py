@@ -100,6 +100,24 @@ class Controller(Checked, Shown):
         return self.law.states
 
     @property
+    def serial(self) -> bool:
+        """See `models.laws.nonlinear.NonlinearLaw`."""
+        return False
+
+    @property
+    def own_delay(self) -> float:
+        """See `models.laws.nonlinear.NonlinearLaw`."""
+        return 0
+
+    def preview_samples(self, period: float) -> int:
+        """See `models.laws.nonlinear.NonlinearLaw`."""
+        return 0 if self.preview is None else self.preview.samples(period)
+
+    def state_scale(self, period: float) -> float:
+        """See `models.laws.nonlinear.NonlinearLaw`."""
+        return self.law.of_state(period)
+
+    @property
     def record(self) -> dict[str, Any]:
         """Returns name, signals, law and code as a JSON object."""
         more = {"preview": self.preview, "code": self.code}
