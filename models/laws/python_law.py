@@ -8,19 +8,22 @@ import hashlib
 import inspect
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
+from xml.etree import ElementTree
 
 from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.files import origin, read_bytes, read_text
-from models.laws.nonlinear import NonlinearLaw
+from models.laws.law import ControlLaw
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
 GIVE = 'give a file next to the vehicle file and a function in it, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
+TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
 FURTHEST = 60.0  # s of the road ahead
 
 
@@ -91,7 +94,7 @@ class PythonLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class Programmed(NonlinearLaw):
+class Programmed(ControlLaw):
     """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
@@ -113,22 +116,23 @@ class Programmed(NonlinearLaw):
         """Kind of its law, in words, with an article: a law in Python, or an FMU."""
         return self.law.with_article
 
-    @property
-    def serial(self) -> bool:
-        """See `NonlinearLaw`: only one thread at a time executes Python."""
-        return True
+    serial = True
 
     @property
     def own_delay(self) -> float:
-        """See `NonlinearLaw`: an FMU may have one."""
+        """See `ControlLaw`: an FMU that Roadproof exported has one."""
         if not self.law.is_fmu or self.law.path is None:
             return 0
-        from models.vehicle.foreign_fmu import own_delay
+        from zipfile import BadZipFile, ZipFile
 
-        return own_delay(self.law.path)
+        with suppress(OSError, KeyError, BadZipFile, ElementTree.ParseError), ZipFile(self.law.path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+            if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
+                return int(computer.attrib["delay"])
+        return 0  # the first step refuses a file that is not an FMU
 
     def preview_samples(self, period: float) -> int:
-        """See `NonlinearLaw`."""
+        """See `ControlLaw`."""
         if is_driver(self.function):
             return int(getattr(self.function, "ahead", 0))
         return 0 if self.law.preview is None else samples_ahead(self.law.preview, period)

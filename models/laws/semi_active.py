@@ -17,7 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import number_within
 from models.common.errors import InputError, listing, quoted
-from models.laws.nonlinear import NonlinearLaw
+from models.laws.law import ControlLaw
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -212,7 +212,7 @@ class SemiActiveLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class SemiActive(NonlinearLaw):
+class SemiActive(ControlLaw):
     """Controller with a shipped semi-active law; no linear claim is made about it.
 
     Attributes:

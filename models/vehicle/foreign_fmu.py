@@ -6,14 +6,12 @@ the control forces. The step from a sample to the next one computes the forces t
 
 import hashlib
 import weakref
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree import ElementTree
 
 from models.common.errors import InputError, listing, quoted
 from models.kinds import signals
@@ -23,7 +21,6 @@ FORCE = signals.CONTROL_FORCE.name
 KNOWN = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
 CORNERS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
 GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
-TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
 
 
 def law_of(file: str, sha256: str) -> Callable[[Sample, "ForeignFmu | None"], Any]:
@@ -142,12 +139,3 @@ def _plain(unit: str) -> str:
     """Returns a unit in the spelling of signals."""
     plain = unit.replace("²", "2").replace("**", "").replace("^", "").replace("*", " ").replace(".", " ")
     return {"m s-1": "m/s", "m s-2": "m/s2", "rad s-1": "rad/s", "rad s-2": "rad/s2"}.get(plain, plain)
-
-
-def own_delay(file: Path) -> int:
-    """Returns the delay of the outputs of an FMU that Roadproof exported [samples], and 0 for any other file."""
-    with suppress(OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError), zipfile.ZipFile(file) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-        if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
-            return int(computer.attrib["delay"])
-    return 0  # the first step refuses a file that is not an FMU

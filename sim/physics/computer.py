@@ -1,15 +1,29 @@
 """The controller's computer: it samples, measures with noise and quantisation, calls the driver, and delays its commands."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.laws.python_law import Programmed, is_driver
+from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import Actuators, closing_names
-from sim.physics.driver import Driver
+from sim.physics.driver import (
+    Driver,
+    Failure,
+    LinearDriver,
+    PythonDriver,
+    RecordedDriver,
+    RecordedForces,
+    RunDriver,
+    SemiActiveDriver,
+)
+from synth.controller.controller import Controller, code_of
 
 
 class Computer:
@@ -108,3 +122,48 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
         if np.any(rms[i]):
             noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
     return noise
+
+
+def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
+    """Returns the implementation around a controller: without the delay that it has itself, and none for known commands."""
+    how = vehicle.implementation
+    if isinstance(controller, RecordedForces):
+        return Implementation()
+    return replace(how, delay=max(how.delay - controller.own_delay, 0)) if how.delay else how
+
+
+def kind_of(controller: RunDriver) -> tuple[object, ...]:
+    """Returns a key that is equal for controllers that one driver serves side by side."""
+    if (code := code_of(controller)) is not None:
+        return "code", code.sha256
+    match controller:
+        case Programmed():
+            return "python", id(controller)
+        case SemiActive():
+            return "semi-active", controller.law.name, controller.law.measured
+        case _:
+            return (type(controller),)
+
+
+def driver_of(
+    controllers: Sequence[RunDriver], failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()
+) -> Driver:
+    """Returns the driver of N controllers whose `kind_of` is equal.
+
+    Args:
+        failures, numbers: see `PythonDriver`.
+    """
+    first, some = controllers[0], cast("Any", controllers)
+    if code_of(first) is not None:
+        from sim.physics.exported_code import CodeDriver
+
+        return CodeDriver(some)
+    match first:
+        case Programmed():
+            return first.function if is_driver(first.function) else PythonDriver(first, failures, numbers)
+        case SemiActive():
+            return SemiActiveDriver(some)
+        case RecordedForces():
+            return RecordedDriver(some)
+        case Controller():
+            return LinearDriver(some)

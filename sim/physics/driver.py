@@ -5,21 +5,21 @@ A driver receives the measurements after noise and quantisation. The request tha
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.nonlinear import NonlinearLaw
-from models.laws.python_law import Programmed, is_driver
+from models.laws.law import ControlLaw
+from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
-from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
-from synth.controller.controller import Controller, code_of
+from synth.controller.controller import Controller
 from synth.controller.controller import Driver as Law
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Driver(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedForces(NonlinearLaw):
+class RecordedForces(ControlLaw):
     """Commands that are known beforehand, whatever the measurements.
 
     Attributes:
@@ -294,48 +294,3 @@ def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], t
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
     return max((max(one.preview_samples(steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)
-
-
-def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller: without the delay that it has itself, and none for known commands."""
-    how = vehicle.implementation
-    if isinstance(controller, RecordedForces):
-        return Implementation()
-    return replace(how, delay=max(how.delay - controller.own_delay, 0)) if how.delay else how
-
-
-def kind_of(controller: RunDriver) -> tuple[object, ...]:
-    """Returns a key that is equal for controllers that one driver serves side by side."""
-    if (code := code_of(controller)) is not None:
-        return "code", code.sha256
-    match controller:
-        case Programmed():
-            return "python", id(controller)
-        case SemiActive():
-            return "semi-active", controller.law.name, controller.law.measured
-        case _:
-            return (type(controller),)
-
-
-def driver_of(
-    controllers: Sequence[RunDriver], failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()
-) -> Driver:
-    """Returns the driver of N controllers whose `kind_of` is equal.
-
-    Args:
-        failures, numbers: see `PythonDriver`.
-    """
-    first, some = controllers[0], cast("Any", controllers)
-    if code_of(first) is not None:
-        from sim.physics.exported_code import CodeDriver
-
-        return CodeDriver(some)
-    match first:
-        case Programmed():
-            return first.function if is_driver(first.function) else PythonDriver(first, failures, numbers)
-        case SemiActive():
-            return SemiActiveDriver(some)
-        case RecordedForces():
-            return RecordedDriver(some)
-        case Controller():
-            return LinearDriver(some)

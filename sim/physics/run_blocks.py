@@ -18,14 +18,8 @@ from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
-from sim.physics.computer import Computer
-from sim.physics.driver import (
-    Failure,
-    RunDriver,
-    driver_of,
-    implementation_around,
-    kind_of,
-)
+from sim.physics.computer import Computer, driver_of, implementation_around, kind_of
+from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
 

@@ -18,8 +18,8 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import roundings
 from sim.physics.actuators import closing_names
-from sim.physics.computer import measurement_noise
-from sim.physics.driver import driver_of, implementation_around, steps_ahead
+from sim.physics.computer import driver_of, implementation_around, measurement_noise
+from sim.physics.driver import steps_ahead
 from sim.physics.simulate import Commanded
 from sim.response.response import Response
 from synth.controller.controller import Controller, code_of

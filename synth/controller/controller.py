@@ -9,6 +9,7 @@ from models.common.arrays import Array
 from models.common.checks import Checked, at_the_door
 from models.common.errors import InputError, error_in, listing
 from models.common.printed import Shown
+from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
@@ -29,7 +30,7 @@ SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Controller(Checked, Shown):
+class Controller(ControlLaw, Checked, Shown):
     """A linear controller with its certificate and the notes of its design.
 
     Attributes:
@@ -99,22 +100,12 @@ class Controller(Checked, Shown):
         """Number of states of the law."""
         return self.law.states
 
-    @property
-    def serial(self) -> bool:
-        """See `models.laws.nonlinear.NonlinearLaw`."""
-        return False
-
-    @property
-    def own_delay(self) -> float:
-        """See `models.laws.nonlinear.NonlinearLaw`."""
-        return 0
-
     def preview_samples(self, period: float) -> int:
-        """See `models.laws.nonlinear.NonlinearLaw`."""
+        """See `ControlLaw`."""
         return 0 if self.preview is None else self.preview.samples(period)
 
     def state_scale(self, period: float) -> float:
-        """See `models.laws.nonlinear.NonlinearLaw`."""
+        """See `ControlLaw`."""
         return self.law.of_state(period)
 
     @property

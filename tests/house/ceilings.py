@@ -25,7 +25,7 @@ what all commands share: files, options, checks, tables of numbers   2366   1738
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
 vehicle file, types, equations, MJCF                           4831   1402    203
-    models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
+    models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
@@ -132,12 +132,12 @@ map of validity                                                 952    313     3
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    1688    867     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
-    tests/*/test_{energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
+    tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                               1046    418      0
-    sim/linear/{__init__,forced_response,frequency_response,measurement_noise,sampled_response}.py tests/support/analysed.py
+    sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
 runs, verdict, their text                                      3129    937     60
-    sim/runs/{__init__,agreement,by_name,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
+    sim/runs/{__init__,agreement,by_name,commands,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1120   1043    349
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py

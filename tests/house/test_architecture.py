@@ -49,8 +49,8 @@ ROOMS = {
     # sim: what a run is
     "sim": "",
     "sim.response": "models.kinds models.suspension models.vehicle",
-    "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
-    "synth.controller synth.plant sim.response",
+    "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller synth.plant "
+    "sim.response",
     "sim.physics": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller sim.response",
     "sim.runs": "models models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.vehicle sim.linear sim.physics sim.response",

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 from models.kinds.signals import OWN, Signal
-from models.vehicle.foreign_fmu import TOOL
+from models.laws.python_law import TOOL
 from models.vehicle.limits_and_implementation import samples
 from synth.controller.export.fmu_model import FmuModel
 

@@ -1,18 +1,15 @@
-"""Answers of controllers that are not linear to what a simulation asks of every controller."""
+"""What a simulation asks of every controller, with the answers of one without states, preview, or delay of its own."""
 
 
-class NonlinearLaw:
-    """Base of such controllers: they have no linear states, no road ahead and no delay of their own, unless they say so."""
+class ControlLaw:
+    """Base of all controllers."""
+
+    serial = False  # True if only one thread at a time can execute the law
 
     @property
     def states(self) -> int:
-        """Number of states of a linear law: zero."""
+        """Number of states of a linear law."""
         return 0
-
-    @property
-    def serial(self) -> bool:
-        """True if only one thread at a time can execute the law."""
-        return False
 
     @property
     def own_delay(self) -> float:
