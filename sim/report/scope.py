@@ -120,15 +120,12 @@ class Scope:
 
     @property
     def analysis(self) -> str:
-        """Describes the reference of MuJoCo."""
-        beyond = [
-            what for what, there in (("curves", self.vehicle.is_curved), ("adjustable dampers", self.vehicle.dampers)) if there
-        ]
-        return f"the analysis with its {joined(beyond)}" if beyond else "the linear analysis"
+        """Describes the analysis with which MuJoCo is compared."""
+        return "the analysis with its curves" if self.vehicle.is_curved else "linear analysis"
 
     @property
     def is_nonlinear(self) -> bool:
-        """Returns True if the reference of MuJoCo is more than a linear loop, and so tends to no continuous one."""
+        """Returns True if the sampled response does not tend to the linear continuous one: with curves or semi-active dampers."""
         return self.vehicle.is_curved or bool(self.vehicle.dampers)
 
     @property

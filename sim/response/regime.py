@@ -145,7 +145,7 @@ BUMP_STOP = End(
     "bump stop",
     "a suspension meets its bump stop",
     "bump stop",
-    "bump stop: a suspension is at the end of its stroke first at {when:.4g} s",
+    "bump stop: a suspension is first at the end of its stroke at {when:.4g} s",
     "#e8955a",
     ("Square", (255, 0, 200)),
     _at_the_stops,
@@ -154,7 +154,7 @@ SATURATION = End(
     "force saturation",
     "an actuator gives all its force",
     "actuator saturated",
-    "saturation: an actuator gives all its force first at {when:.4g} s",
+    "saturation: an actuator first gives its largest force at {when:.4g} s",
     "#c9a3d9",
     ("Diamond", (0, 220, 220)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.actuator_force),
@@ -172,7 +172,7 @@ CURVE = End(
     "curve",
     "a damper or spring leaves the line of its curve at rest",
     "curve left",
-    f"curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest first at {{when:.4g}} s",
+    f"curve: a damper or spring first leaves its linearisation by {100 * LEAVES:g} % of its largest force at {{when:.4g}} s",
     "#a3b86c",
     ("Asterisk", (150, 255, 60)),
     _off_the_line,
@@ -182,7 +182,7 @@ DAMPER = End(
     "damper",
     "an adjustable damper does not give the force",
     "damper at its end",
-    "damper: an adjustable damper first does not give the force that is asked of it at {when:.4g} s; no linear claim from there",
+    "damper: a semi-active damper first cannot give the requested force at {when:.4g} s",
     "#8fbf7f",
     ("Circle", (120, 255, 120)),
     lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.adjustable],
@@ -191,11 +191,11 @@ DAMPER = End(
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
 DEMAND_CLIPPED = (
-    "saturation: a lagging actuator is asked for more than its force first at {when:.4g} s; anti-windup acts from there"
+    "saturation: the command of a lagging actuator first exceeds its largest force at {when:.4g} s; anti-windup acts from then on"
 )
 DIVERGENCE = "divergence"
 LAW_OVERFLOW = "law overflow"
-RAN_AWAY = "the law's own states ran away, and from {when:.4g} s on it asks for no finite force"
+RAN_AWAY = "the states of the law overflow; from {when:.4g} s on, it requests no finite force"
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:

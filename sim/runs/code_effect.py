@@ -1,7 +1,6 @@
 """Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
 
-Linear analysis predicts the law. So the run with the law is compared with analysis, and the run with the code with that run. The
-comparison of the code's own run with analysis allows for the measured difference, which must be small.
+Both runs are checked, and the difference must be small.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +27,7 @@ class CodeEffect:
         apart: difference of each output signal at every sample until either run diverges, by name.
         share: largest difference of any signal over its scale, while the comparison with analysis applies.
         signal: name of that signal.
-        law_agrees: True if the run with the law itself agrees with analysis.
+        law_agrees: True if the run with the law itself agrees.
         clipped: readings that leave their range in fixed point, where the code clips them.
     """
 
@@ -41,7 +40,7 @@ class CodeEffect:
 
     @property
     def holds(self) -> bool:
-        """Returns True if the law's run agrees with analysis, and the code's run with that of the law."""
+        """Returns True if the law's run agrees, and the code's run equals that of the law within `MOST`."""
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
@@ -55,7 +54,7 @@ class CodeEffect:
     @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""
-        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree with linear analysis"]
+        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree"]
         if self.share > MOST:
             lines.append(
                 f"DOES NOT AGREE: the code moves {self.signal} by {self.share:.1e} of its peak, where {MOST:g} is allowed; "
@@ -103,7 +102,7 @@ def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
     if effect.clipped:
         return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
     if not any(map(effect.peak, effect.apart)):
-        return f"{line}; its run is that of the law, to the last bit"
+        return f"{line}; its run equals that of the law bit for bit"
     force = max(vehicle.linear_model.inputs, key=effect.peak)
     return (
         f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "

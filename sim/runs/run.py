@@ -276,7 +276,7 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
     equations of motion with a run at a share of its road's height. These runs are made here.
 
     Args:
-        predictions: over the same sample times, of vehicles of the same kind.
+        predictions: predictions over the same sample times, for vehicles of the same type.
         physics: the runs.
     """
     predictions = _with_code_effects(predictions, physics)
@@ -321,7 +321,7 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
     A run that leaves more energy over than is usual is driven at half the step, too.
 
     Args:
-        runs: over the same sample times, of vehicles of the same kind.
+        runs: runs over the same sample times, with vehicles of the same type.
         physics: the same runs with their states.
     """
     runs = [

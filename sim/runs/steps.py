@@ -91,7 +91,7 @@ def compare_steps(
     """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        commanded: what the controller measured and commanded.
+        commanded: measurements and commands of the controller.
         rounding: rounding error of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = from_steady(road, physics.until(until))

@@ -374,8 +374,8 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     vehicle = read_vehicle(tmp_path / "mine.toml")
     (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
-    assert f"off its line at rest by 10 % of its largest first at {when:.4g} s" in said
-    assert f"suspension_damping is off its line at rest by up to {100 * share:.2g} % of its largest force" in said
+    assert f"first leaves its linearisation by 10 % of its largest force at {when:.4g} s" in said
+    assert f"suspension_damping differs from its linearisation by up to {100 * share:.2g} % of its largest force" in said
     assert inspect([str(log)]) == 0
     assert "the log still proves what it claims" in capsys.readouterr().out
 

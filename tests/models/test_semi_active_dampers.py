@@ -302,7 +302,7 @@ def test_a_damper_takes_energy():
     assert energy_lines(run)[0].startswith("energy balances")
     worse = replace(run, energy=replace(run.energy, least=-1e-3))
     assert not worse.passed
-    assert "an adjustable damper gave energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
+    assert "a semi-active damper supplied energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
     at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
     assert (at_once.residual, at_once.least, at_once.loads) == (0.0, 0.0, None)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")

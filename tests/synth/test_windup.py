@@ -121,7 +121,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.abs(before["controller_1"][-1]) > 1e300
     found = measure_run(run, first=100)
     text = "\n".join([*verdict_lines(run), verdict(run), *metric_lines(run, found, 0.1, 0.6, ())])
-    assert f"law overflow: the law's own states ran away, and from {when:.4g} s on it asks for no finite force" in text
+    assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
     assert f"no metrics of this run: law overflow at {when:.4g} s" in text
     assert "diverge" not in text
     assert "no vehicle" not in text
@@ -181,7 +181,7 @@ def test_a_campaign_says_why_runs_broke_off(tmp_path, capsys):
     assert campaign([*arguments, "--json"]) == 0
     entry, bounded = json.loads(capsys.readouterr().out)["summary"]
     assert (entry["broke_off"], bounded["broke_off"]) == (1, 0)
-    assert entry["first_reason"].startswith("law overflow: the law's own states ran away, and from 0.")
+    assert entry["first_reason"].startswith("law overflow: the states of the law overflow; from 0.")
     assert campaign(["--verify", str(tmp_path / "results")]) == 0
 
 
