@@ -55,7 +55,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     numbers = {
         name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
     }
-    return numbers | {"balances": energy.balances}
+    return numbers | {"balances": energy.balances if energy.judged else None}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -64,11 +64,13 @@ def energy_lines(run: Run) -> list[str]:
     if energy is None:
         return []
     of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
-    if energy.least is not None and energy.least < 0 and not energy.balances:
+    if energy.least is not None and energy.least < 0 and energy.fails:
         return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
     if energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
         return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
+    if not energy.judged:
+        return [f"energy is not judged: {of} is neither stored nor dissipated, less at half the step: the timestep is too coarse"]
     if run.physics.ran_away:
         return [f"energy is not judged: {of} is neither stored nor dissipated, with forces that the overflowing law throws about"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
@@ -247,18 +249,13 @@ def verdict(run: Run) -> str:
         words.append("NOTHING COMPARED")
     if not words:
         words += ["agrees", _linear_range(run)]
-    if agreement.coarse:
+    if agreement.coarse or (run.energy is not None and not run.energy.judged):
         words.append("the timestep is too coarse for accurate numbers")
     if run.energy is not None:
-        words.append(f"energy {_balance(run.energy)}")
+        words.append(f"energy {run.energy.verdict}")
     if run.physics.ran_away and run.diverged > agreement.until:
         words.append(f"{LAW_OVERFLOW} at {run.diverged:.4g} s")
     return "; ".join(words)
-
-
-def _balance(energy: Energy) -> str:
-    """Returns whether energy balances, in words."""
-    return "balances" if energy.balances else "DOES NOT BALANCE"
 
 
 def _linear_range(run: Run) -> str:
