@@ -63,7 +63,7 @@ SMOOTH, SMALLEST = 0.2, 1e-7
 # A fault leaves as much at any step, and what RK4 leaves falls with the second power of the step, or a higher one. So a run that
 # leaves more is driven at half the step, too, and this times the fall is allowed on top: 4 / 3 of it is the error of the second
 # power. A wheel of 7 kg on a tyre of 430 kN/m, often in the air, leaves 2.6e-3 at 1 ms and 5.7e-4 at half of it.
-FALLS, COARSEST = 1.5, 0.1  # and the most that is ever allowed: a balance that is further off confirms nothing
+FALLS, COARSEST = 1.5, 0.1  # and the largest residual that confirms a balance; a larger one is not evaluated
 NEAR = 0.95  # share of a tyre's or a suspension's distance to a kink at which it may reach the kink within a step
 ROUNDING = 1e-8  # smallest turnover, relative to the energy at rest: below it the residual is rounding
 AT_ONCE = 4096  # states that are evaluated together
@@ -102,13 +102,27 @@ class Energy(Shown):
         """Returns whether it balances, and the energies, as text."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
         joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        verdict = "balances" if self.balances else "DOES NOT BALANCE"
-        return f"energy {verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+        return f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+
+    @property
+    def fails(self) -> bool:
+        """Returns True if the residual is more than the integrator's error, or a damper gave energy."""
+        return not self.residual <= self.allowed or (self.least is not None and self.least < -ROUNDING)
+
+    @property
+    def judged(self) -> bool:
+        """Returns False if the integrator's error explains the residual, but is too large to confirm a balance."""
+        return self.fails or self.allowed <= COARSEST
 
     @property
     def balances(self) -> bool:
         """Returns True if the residual is within the integrator's error, and no damper gave energy."""
-        return self.residual <= self.allowed and (self.least is None or self.least >= -ROUNDING)
+        return self.judged and not self.fails
+
+    @property
+    def verdict(self) -> str:
+        """The verdict, in words."""
+        return "DOES NOT BALANCE" if self.fails else "balances" if self.judged else "is not evaluated"
 
     @property
     def doubtful(self) -> bool:
@@ -118,7 +132,7 @@ class Energy(Shown):
     def beside(self, finer: "Energy") -> "Energy":
         """Returns the balance with its allowed residual, given the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
-        return replace(self, allowed=max(self.allowed, min(COARSEST, self.allowed + FALLS * falls)))
+        return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))
 
 
 def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf) -> Energy:

@@ -126,7 +126,7 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if wrong:
         text = f"Over {scope.where} MuJoCo DOES NOT AGREE for {names_text(wrong)}: see the lines on its runs."
         statements.append(Statement(text, "fails"))
-    unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
+    unbalanced = [run.controller.name for run in runs if run.energy is not None and run.energy.fails]
     if unbalanced:
         text = f"Over {scope.where} energy DOES NOT BALANCE{built} for {names_text(unbalanced)}: see the table of energy."
         statements.append(Statement(text, "fails"))

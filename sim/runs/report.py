@@ -55,7 +55,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     numbers = {
         name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
     }
-    return numbers | {"balances": energy.balances}
+    return numbers | {"balances": energy.balances if energy.judged else None}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -64,11 +64,13 @@ def energy_lines(run: Run) -> list[str]:
     if energy is None:
         return []
     of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
-    if energy.least is not None and energy.least < 0 and not energy.balances:
+    if energy.least is not None and energy.least < 0 and energy.fails:
         return [f"energy DOES NOT BALANCE: a semi-active damper supplied energy, {-energy.least:.1e} of the most that it took"]
     if energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
         return [f"energy balances: the work of {sources} is stored or dissipated, except {of}"]
+    if not energy.judged:
+        return [f"energy is not evaluated, because the timestep is too coarse: {of} is neither stored nor dissipated"]
     if run.physics.ran_away:
         return [f"energy is not evaluated, because the law overflows: {of} is neither stored nor dissipated"]
     why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
@@ -230,10 +232,10 @@ def verdict(run: Run) -> str:
         words.append("NOTHING COMPARED")
     if not words:
         words += ["agrees", f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE]
-    if agreement.coarse:
+    if agreement.coarse or (run.energy is not None and not run.energy.judged):
         words.append("the timestep is too coarse for accurate numbers")
     if run.energy is not None:
-        words.append(f"energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}")
+        words.append(f"energy {run.energy.verdict}")
     if run.physics.ran_away and (run.diverged > agreement.until or not run.prediction.is_linear):
         words.append(f"{LAW_OVERFLOW} at {run.diverged:.4g} s")
     return "; ".join(words)

@@ -45,11 +45,11 @@ def test_quoted_messages_exist():
 
 
 @pytest.mark.parametrize(
-    ("step", "text", "code"),
-    [("0.02", "the timestep is too coarse", 0), ("0.03", "energy DOES NOT BALANCE", 1)],
+    ("step", "text"),
+    [("0.02", "the timestep is too coarse for accurate numbers; energy balances"), ("0.03", "energy is not evaluated")],
 )
-def test_examples_of_failed_checks(step, text, code, capsys):
+def test_examples_of_coarse_timesteps(step, text, capsys):
     """The timesteps that troubleshooting gives as examples are too coarse, in the way that it explains."""
     assert f"--timestep {step}" in page(TROUBLE)
-    assert main_of("sim.bump")(["--controller", "I", "--timestep", step, "--no-logs", "-v"]) == code
+    assert main_of("sim.bump")(["--controller", "I", "--timestep", step, "--no-logs", "-v"]) == 0
     assert text in prose(capsys.readouterr().out)
