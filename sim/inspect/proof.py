@@ -223,6 +223,8 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
     now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
     said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED)}
     said |= {"road": result.get("road"), "timestep": result.get("timestep")}
+    if now["commands"] is None:  # the law was not run
+        said.pop("commands", None)
     if command == "drive":
         from sim.studies.ride.run_metrics import driven_roughness, measure_run, metrics_object, roughness_object
 

@@ -119,7 +119,7 @@ class Agreement(Shown):
     def agrees(self) -> bool:
         """Returns True if every step and every command is right, as far as they are known, and nothing contradicts them."""
         coded = self.code_effect is None or self.code_effect.holds
-        checked = self.steps is not None or self.until > 0
+        checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
         return checked and self.step_by_step and self.commanded and coded and self.follows_linear
 
     @property

@@ -1,6 +1,7 @@
 """Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
 
-Both runs are checked, and the difference must be small.
+The run with the law must agree, and the code may move no signal of it by more than `MOST` of its peak. That every command of the
+run is that of the code is a check of its own (`sim.runs.commands`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Driver, code_of
 
-MOST = 1e-2  # of a peak; code that moves a signal by more is not the law that linear analysis predicts
+MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class CodeEffect:
     Attributes:
         numbers: numbers of the code, see `ExportedLaw`.
         apart: difference of each output signal at every sample until either run diverges, by name.
-        share: largest difference of any signal over its scale, while the comparison with analysis applies.
+        share: largest difference of any signal over its scale, while linear analysis applies.
         signal: name of that signal.
         law_agrees: True if the run with the law itself agrees.
         clipped: readings that leave their range in fixed point, where the code clips them.
@@ -40,7 +41,7 @@ class CodeEffect:
 
     @property
     def holds(self) -> bool:
-        """Returns True if the law's run agrees, and the code's run equals that of the law within `MOST`."""
+        """Returns True if the law's run agrees, and the code's run is close to that of the law."""
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
@@ -72,7 +73,7 @@ def code_effect(
         driver: the controller that the code drives.
         physics, law_physics: the run with the code, and the run with the law itself.
         names: output signals.
-        until: time before which the run with the law is compared with analysis [s].
+        until: time before which linear analysis applies to the run with the law [s].
         law_agrees: True if that run agrees.
     """
     law, end = code_of(driver).law, min(physics.diverged, law_physics.diverged)
