@@ -12,7 +12,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
+from sim.response.jumps import Jumps
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import Controller, has_anti_windup
@@ -122,6 +123,9 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
+    if vehicles[0].dampers:
+        jumps = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
+        response = replace(response, before={name: response[name] - jump for name, jump in jumps.items()})
     laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
     states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]

@@ -170,8 +170,7 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    ran = Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1])
-    stages = _given(vehicle, ran, commands, h)
+    stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
     return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages)
 
