@@ -16,6 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import (
     BUMP_STOP,
+    COMMAND_LIMITED,
     CURVE,
     DEMAND_CLIPPED,
     FLAT,
@@ -368,6 +369,8 @@ def verdict_lines(run: Run) -> list[str]:
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
         said[SATURATION] = DEMAND_CLIPPED
+    elif run.vehicle.limits.actuator_bandwidth is not None and run.vehicle.limits.limits_commands:
+        said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
         said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, _stop_names(run, when), 1)
     lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
