@@ -44,7 +44,7 @@ from models.common.arrays import Array
 from models.common.printed import Shown
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import MOST_ASKED, build_spec, damped_tyres, mocap_indices, pushed_dofs
+from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging
@@ -262,9 +262,12 @@ class _FittedForces:
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
-    """Returns True if a force may have had a kink: a tyre in the air, a bump stop, a curve, or a lagging force at its limit."""
-    reached = utilisation(vehicle, response)
-    ends = [LIFT_OFF, BUMP_STOP] + ([] if vehicle.limits.actuator_bandwidth is None else [SATURATION])
+    """Returns True if a force may have had a kink: a tyre in the air, a bump stop, a curve, or a lagging force at its limit.
+
+    A command that is limited before the lag is held over a step, so that its force has no kink within the step.
+    """
+    reached, limits = utilisation(vehicle, response), vehicle.limits
+    ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
     bent = any(len(fitted.curve.pieces.slope) for fitted in vehicle.fitted)
     bent = bent or any(one.damper.pair is not None for one in vehicle.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
@@ -381,16 +384,16 @@ def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roa
 def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
     """Returns the actuators' forces [N] in RK4's stages of every step, shape (4, T - 1, m).
 
-    The largest force limits what lags behind a request, which may be far beyond it and change its sign within a step.
+    What lags behind a request beyond the largest force may change its sign within a step.
 
     Args:
         forces: forces of physics at the samples [N], shape (T, m).
         requested: forces requested by the controller, see `PhysicsRuns`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
-    if limits.actuator_force is None:
+    if limits.actuator_force is None or limits.limits_commands:
         return np.stack(lag_stages(forces, z))
-    most = limits.actuator_force
-    asked = np.clip(requested[:, : forces.shape[1]], -MOST_ASKED, MOST_ASKED)
+    largest, most = limits.largest
+    asked = np.clip(requested[:, : forces.shape[1]], -largest, largest)
     stages = lag_stages(np.where(np.abs(forces) < AT * most, forces, lagging(asked, z)), z)
     return np.clip(stages, -most, most)

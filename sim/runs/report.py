@@ -16,6 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import (
     BUMP_STOP,
+    COMMAND_LIMITED,
     CURVE,
     DEMAND_CLIPPED,
     FLAT,
@@ -343,14 +344,15 @@ def _event_lines(run: Run) -> list[str]:
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
         said[SATURATION] = DEMAND_CLIPPED
+    elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
+        said[SATURATION] = COMMAND_LIMITED
+    stops: list[str] = []
     if vehicle.limits.stopped:
         from sim.runs.stops import run_stop_lines, stop_names
 
         stops = run_stop_lines(run)
         if math.isfinite(when := times[BUMP_STOP.name]):
             said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
-    else:
-        stops = []
     lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
     lines += stops
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import MOST_ASKED, has_geometry
+from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.linear_motion import LinearMotion, suspension_pulls
 from sim.linear.sampled_response import roundings
@@ -247,9 +247,8 @@ def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
 
 def _given(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each."""
-    inputs, limits = vehicle.linear_model.inputs, vehicle.limits
+    inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
     demand, z = commands[: len(physics.time), : len(inputs)], _lags(vehicle) * h
-    most, asked = limits.actuator_force or np.inf, MOST_ASKED if limits.actuator_force else np.inf
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     now = lagging(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
     return [np.where(pushing, np.clip(stage, -most, most), stage) for stage in lag_stages(now, z)]
