@@ -44,12 +44,8 @@ def test_quoted_messages_exist():
     assert [text for text in texts if text not in made and text not in code] == []
 
 
-@pytest.mark.parametrize(
-    ("step", "text"),
-    [("0.02", "the timestep is too coarse for accurate numbers; energy balances"), ("0.03", "energy is not evaluated")],
-)
-def test_examples_of_coarse_timesteps(step, text, capsys):
-    """The timesteps that troubleshooting gives as examples are too coarse, in the way that it explains."""
-    assert f"--timestep {step}" in page(TROUBLE)
-    assert main_of("sim.bump")(["--controller", "I", "--timestep", step, "--no-logs", "-v"]) == 0
-    assert text in prose(capsys.readouterr().out)
+def test_example_of_a_coarse_timestep(capsys):
+    """The timestep that troubleshooting gives as an example is too coarse."""
+    assert "--timestep 0.02" in page(TROUBLE)
+    assert main_of("sim.bump")(["--controller", "I", "--timestep", "0.02", "--no-logs", "-v"]) == 0
+    assert "the timestep is too coarse for accurate numbers; energy balances" in prose(capsys.readouterr().out)
