@@ -14,7 +14,6 @@ HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference"}  # older logs may lack these
 GONE = {"geometry", "otherwise", "played"}  # keys of older logs alone
-LINEAR = {"sampled", "continuous", "errors"}  # numbers that older logs have also for laws that are not linear
 DIFFERENCES = {"half_step", "code_difference"}  # of two runs that may each be `SAME` of a peak off, and so may they
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
@@ -70,8 +69,6 @@ def different(said: Any, now: Any) -> Iterator[str]:
         keys = {*path.split(".")}
         if path not in there:
             yield from () if keys & SINCE else (f"{path} is missing",)
-        elif value is None and keys & LINEAR:
-            pass
         elif not _equal(there[path], value, SAME if keys & DIFFERENCES else ROUNDING):
             yield path
     yield from (f"{path} is unknown" for path in there if path not in here and not {*path.split(".")} & GONE)

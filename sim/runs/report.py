@@ -237,7 +237,9 @@ def verdict(run: Run) -> str:
         words.append("the timestep is too coarse for accurate numbers")
     if run.energy is not None:
         words.append(f"energy {run.energy.verdict}")
-    if run.physics.ran_away and (run.diverged > agreement.until or not run.prediction.is_linear):
+    if run.broke_off is not None and not run.prediction.is_linear:
+        words.append("{} at {:.4g} s".format(*run.broke_off))
+    elif run.physics.ran_away and run.diverged > agreement.until:
         words.append(f"{LAW_OVERFLOW} at {run.diverged:.4g} s")
     return "; ".join(words)
 
@@ -340,6 +342,8 @@ def _event_lines(run: Run) -> list[str]:
         size, signal = run.half_step.difference, run.half_step.signal
         change = f"{signal} changes by {size:.1e} of its peak" if math.isfinite(size) else "the run diverges"
         lines.append(f"accuracy after the lift-off: at half the timestep, {change}")
+    elif agreement.lift_off and run.prediction.is_blurred and run.broke_off is None:
+        lines.append(f"accuracy after the lift-off: unknown, as {vehicle.implementation.noise_text} differs at half the timestep")
     times = agreement.ended
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
