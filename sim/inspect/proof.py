@@ -187,9 +187,10 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
         yield Finding("responses", FAILS, text)
     if not wrong:
         how = f"to {worst:.0e} of a peak" if worst else "bit for bit"
-        *some, last = ("MuJoCo's" if topic == MUJOCO else topic for topic in new)
-        names = f"{', '.join(some)} and {last}" if some else last
-        yield Finding("responses", HOLDS, f"{names} come out as they were logged, {how}")
+        names = {MUJOCO: "MuJoCo's", SAMPLED: "sampled", CONTINUOUS: "continuous"}
+        *some, last = (names[topic] for topic in new)
+        which = f"{', '.join(some)} and {last}" if some else last
+        yield Finding("responses", HOLDS, f"{which} come out as they were logged, {how}")
 
 
 def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:

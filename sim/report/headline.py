@@ -232,7 +232,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             heights.append(f"{as_name(one.name)} {height:.3g} m ({end.end}{predicted})")
     comma = "," if scope.blurred else ""
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
-    which = scope.analysis if scope.vehicle.dampers else "the linear regime"
+    which = "the analysis with its semi-active dampers" if scope.vehicle.dampers else "the linear regime"
     text = (
         f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
         f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} "

@@ -395,7 +395,8 @@ def _check_lines(run: Run) -> list[str]:
 
 def _largest(one: StepAgreement | CommandAgreement) -> str:
     """Returns the largest error of a check, in words."""
-    return f"largest error {one.error:.1e} of a peak ({one.signal}), allowed {one.allowed:.0e}"
+    error = f"{one.error:.1e}" if one.error else "0"
+    return f"largest error {error} of a peak ({one.signal}), allowed {one.allowed:.0e}"
 
 
 def _first_order(agreement: Agreement) -> bool:
