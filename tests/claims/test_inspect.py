@@ -192,16 +192,12 @@ def test_applied_again(kind, more, options, said, tmp_path, capsys):
 
 
 def test_loops_too_large_to_judge(designer, paper):
-    """For a loop with more delayed forces than asked for, growth is not said, and with noise nothing is predicted at all."""
+    """For a loop with more delayed forces than requested, growth is not computed."""
     late, time = replace(paper, implementation=Implementation(delay=20)), sample_times(paper, 0.1, 1e-3)
     controller = designer.design("II")
     states = len(paper.linear_model.A) + 20
     assert predict(late, controller, Bump(), time, states).radius == predict(late, controller, Bump(), time).radius
     assert np.isnan(predict(late, controller, Bump(), time, states - 1).radius)
-    noisy = replace(paper, implementation=Implementation(delay=20, noise={"sprung_velocity": 1e-3}))
-    assert predict(noisy, controller, Bump(), time, states).spread
-    with pytest.raises(InputError, match="too many delayed forces"):
-        predict(noisy, controller, Bump(), time, states - 1)
 
 
 @pytest.mark.attack
