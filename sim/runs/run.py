@@ -346,8 +346,8 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
 
 
 def _has_noise(run: Run) -> bool:
-    """Returns True if measurements are noisy or quantised, or exported code rounds, which differs at other steps."""
-    return run.vehicle.implementation.has_measurement_noise or bool(run.prediction.rounding_text)
+    """Returns True if its controller measures with noise or quantisation, or its code rounds, which differs at other steps."""
+    return run.prediction.is_blurred or bool(run.prediction.rounding_text)
 
 
 def _simulated(

@@ -20,7 +20,6 @@ import sim
 from models.common.errors import InputError
 from models.kinds.kind import HERE
 from models.laws import python_runtime as running
-from models.laws.python_law import Programmed
 from models.roads.road import Bump, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
