@@ -110,7 +110,9 @@ class Agreement(Shown):
     def verdict(self) -> str:
         """The verdict on physics, and the time until which linear analysis applies, in words."""
         when = f"until {self.until:.4g} s" if math.isfinite(self.until) else "throughout"
-        return f"agrees; linear analysis applies {when}" if self.agrees else "DOES NOT AGREE"
+        without = all(math.isnan(signal.sampled) for signal in self.signals.values())
+        range_ = "no linear reference" if without else f"linear analysis applies {when}"
+        return f"agrees; {range_}" if self.agrees else "DOES NOT AGREE"
 
     @property
     def agrees(self) -> bool:

@@ -112,6 +112,7 @@ def test_peak_and_rms_use_both_sides_of_a_decision(law, speed, peak_of, low):
         peak, rms = np.abs(exact).max(), np.sqrt(np.mean((exact[:, :-1] ** 2 + exact[:, 1:] ** 2) / 2))
         assert signals[name]["peak"]["mujoco"] == pytest.approx(peak, rel=1e-3)
         assert [signals[name]["rms"]["mujoco"], whole[f"{name}_rms"]] == pytest.approx([rms, rms], rel=1e-3)
+        assert np.abs(exact[:, 0] - run.physics[name][:-1]).max() < 1e-5 * peak  # RK4's error
         assert name != peak_of or np.abs(run.physics[name]).max() < (1 - low) * peak
     assert whole["control_force_peak"] == signals["control_force"]["peak"]["mujoco"]
     meter = Meter([vehicle], 1e-3, 0)
