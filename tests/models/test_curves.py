@@ -1,4 +1,4 @@
-"""Curves of dampers and springs: as data, in MuJoCo, against an integration of their own, in verdicts and logs."""
+"""Curves of dampers and springs: as data, in MuJoCo, compared with SciPy, in verdicts and logs."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -32,7 +32,6 @@ from synth.vehicle.designer import Designer, design
 from tests.support.analysed import energy, sampled_response, simulate
 from tests.support.commands import attacks, prose, refused
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, integrated_by_scipy, with_curves
-from tests.support.shared import designed
 
 STATES = ("suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity")
 BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
@@ -172,43 +171,35 @@ def test_against_equations_written_out_and_integrated_by_scipy():
     assert errors[1] < 0.6 * errors[0]
 
 
+LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
+BY_ACCELERATION = "[controllers.law]\nmeasured = ['sprung_acceleration', 'suspension_velocity']\ngain = [[-80.0, 100.0]]"
+DYNAMIC = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"
+
+
 @pytest.mark.parametrize(
-    "more",
+    ("kind", "more"),
     [
-        *attacks(["", "[limits]\nactuator_bandwidth = 60.0"]),
-        "[implementation]\nsample_period = 0.005\ndelay = 1.4",
-        '[controllers.by_acceleration]\nmeasured = ["sprung_acceleration", "suspension_velocity"]\ngain = [[-80.0, 100.0]]',
-        "[controllers.dynamic]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]",
+        *[("quarter_car", more) for more in (LATE, BY_ACCELERATION, DYNAMIC)],
+        *attacks(
+            [("quarter_car", ""), ("quarter_car", "[limits]\nactuator_bandwidth = 60.0"), ("half_car", ""), ("full_car", "")]
+        ),
     ],
-    ids=["ideal", "lagging", "late", "acceleration", "states"],
+    ids=["late", "acceleration", "states", "ideal", "lagging", "half-car", "full car"],
 )
-def test_rk4_is_foretold_to_rounding(more):
-    """The error of RK4 on a quarter-car with curves is foretold stage by stage: MuJoCo does just that, whatever the loop."""
-    vehicle = with_curves(more=more, **BOTH)
-    time = sample_times(vehicle, 0.5, 1e-3)
-    for name in vehicle.controllers if "controllers" in more else ("passive", "I"):
-        controller = Designer(vehicle).design(name)
-        physics = simulate([vehicle], [controller], [ROAD], time).run(0)
-        foretold = sampled_response(vehicle, controller, ROAD, time, taylor4)
-        for signal in vehicle.linear_model.outputs:
-            scale = foretold.scale(signal) or 1.0
-            assert np.abs(physics[signal] - foretold[signal]).max() < 1e-9 * scale, (name, signal)
-
-
-@pytest.mark.parametrize("kind", ["quarter_car", *attacks(["half_car", "full_car"])])
-def test_a_run_agrees_and_says_what_its_curves_did(kind):
-    """Physics follows its reference far beyond the line at rest, cars to first order; the energy balances; event and share are
-    those of the signals."""
-    vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
+def test_a_run_agrees_and_says_what_its_curves_did(kind, more):
+    """Physics follows its reference far beyond the line at rest, a quarter-car to rounding; event and share are the signals'."""
+    vehicle = with_curves(kind, more=more, **(BOTH if kind == "quarter_car" else AXLES))
     time = sample_times(vehicle, 0.4, 1e-3)
-    controllers = [designed(vehicle, name) for name in ("passive", "I")]
+    controllers = [Designer(vehicle).design(name) for name in (("law",) if "controllers" in more else ("passive", "I"))]
     road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD  # left and right differ
     for run in run_controllers(vehicle, controllers, road, time):
-        assert run.agreement.agrees
+        assert run.passed
         assert run.energy is not None
-        assert run.energy.balances
         assert run.energy.residual < 1e-5  # measured 3e-7
         assert np.isinf(run.agreement.until)  # the reference goes on
+        for signal in vehicle.linear_model.outputs if kind == "quarter_car" else ():
+            foretold = run.prediction.integrated
+            assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
         left, when = departures(vehicle, run.physics), run.agreement.ended[CURVE.name]
         worst = {}
         for one in vehicle.fitted:
