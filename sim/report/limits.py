@@ -155,7 +155,7 @@ def map_of(scope: Scope, number: int) -> Map:
     shares = [np.mean(cells.predicted.first == end) for end in (-1, *range(len(END_NAMES)))]
     row = (
         one.name,
-        f"{100 * np.mean(cells.driven.error <= THRESHOLD):.1f} %",
+        f"{100 * cells.share(lambda one: one.error <= THRESHOLD):.1f} %",
         *(f"{100 * share:.1f} %" for share in shares),
         f"{100 * cells.agreement:.2f} %",
         f"{cells.unexplained}",

@@ -113,7 +113,8 @@ def edge_lines(along: str, found: Sequence[Edge], fixed: Mapping[str, float]) ->
             same = len(edge.parts) == 2 and edge.parts[1][0] == edge.end
             texts[-1] += f"; predicted {'' if same else f'{edge.end} '}from {edge.height:.4g} m"
         if edge.found is not None:
-            texts[-1] += f"; MuJoCo: {edge.found.words}"
+            low, high, end = edge.found.stays, edge.found.leaves, edge.found.end
+            texts[-1] += f"; MuJoCo: nothing at {low:.4g} m" + (f", {end} at {high:.4g} m" if end else "")
         lines.append(f"  {at}{', '.join(texts)}")
     left = len(found) - len(shown)
     return [*lines, f"  and {left} more between, in --json"] if left else lines

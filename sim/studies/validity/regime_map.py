@@ -12,36 +12,23 @@ proportional to the height, so every cell has its own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
 from models.roads.load import Load
-from models.roads.road import Bump, Road, RoadInput
+from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import is_linear, squarable
-from sim.linear.sampled_response import sampled_responses
-from sim.physics.run_blocks import runs_at_once
-from sim.physics.simulate import simulate
+from sim.linear.dampers import is_linear
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
-from sim.studies.validity.regime_end import (
-    Column,
-    RegimeEnd,
-    analysed,
-    enclosed,
-    first_in_physics,
-    largest_difference,
-    loaded,
-    needed,
-    shares,
-)
+from sim.studies.validity.driven import Driven, analysed, driven, loaded, shares
+from sim.studies.validity.regime_end import RegimeEnd, enclosed
 from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.open_loop import LoopModel
 
 BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
-MOST_AT_ONCE = 64  # runs in a batch: more hardly save time
+AT_ONCE = 64  # responses side by side
 FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # cells and edges that are run at least; their shares of all cells
 SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / g and 1 / g^2, where g^3 = g + 1: they fill a plane evenly
 WITHIN = 1.004  # factor on the height, either way, between the runs that enclose an edge
@@ -65,75 +52,55 @@ class Predicted:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
-    """What MuJoCo says of M bumps.
-
-    Attributes:
-        error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (M,).
-        first: first end, as an index into `REGIME_ENDS`, -1 for none, shape (M,).
-        time: time of that end [s], infinite for none, shape (M,).
-        diverged: time at which the run broke off [s], infinite if it did not, shape (M,).
-        ran_away: True if the run broke off because the states of its law diverged, shape (M,).
-        missing: rms of the forces that adjustable dampers did not give, over that of the requested ones at the samples; 0 if none
-            was requested, NaN without such dampers, shape (M,).
-    """
-
-    error: Array
-    first: Array
-    time: Array
-    diverged: Array
-    ran_away: Array
-    missing: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Cells:
     """Cells of the map, N of them, in the order of their bumps.
 
     Attributes:
         bumps: bumps, one for each cell.
         predicted: predictions of all cells.
-        cells: indices of the cells that MuJoCo ran, ascending, shape (M,).
-        driven: results of those.
-        boundary: True for those of them whose prediction differs at a height 1 % lower or higher, shape (M,).
+        driven: results of MuJoCo, by the index of the cell.
+        boundary: indices of those of them whose prediction differs at a height 1 % lower or higher.
         ends: heights that MuJoCo encloses, by the index of a cell of their length and speed.
     """
 
     bumps: tuple[Bump, ...]
     predicted: Predicted
-    cells: Array
-    driven: Driven
-    boundary: Array
+    driven: Mapping[int, Driven]
+    boundary: frozenset[int]
     ends: Mapping[int, RegimeEnd]
 
     def end_of(self, i: int) -> str:
         """Returns the name of the predicted first end of a cell; empty without an end."""
         return END_NAMES[self.predicted.first[i]] if self.predicted.first[i] >= 0 else ""
 
+    def share(self, holds: Callable[[Driven], bool]) -> float:
+        """Returns the share of the MuJoCo runs for which something holds."""
+        return float(np.mean([holds(one) for one in self.driven.values()]))
+
     @property
     def short(self) -> str:
         """Describes the share of missing force of adjustable dampers; empty if no force is missing."""
-        some = self.driven.missing[self.driven.missing > 0]
-        if not len(some):
+        some = [one.missing for one in self.driven.values() if one.missing > 0]
+        if not some:
             return ""
-        least, most = (percent(float(share)) for share in (some.min(), some.max()))
+        least, most = percent(min(some)), percent(max(some))
         much = most if least == most else f"{least} to {most}"
         return f"of the force asked of its adjustable dampers {much} (rms) is missing"
 
     @property
-    def agrees(self) -> Array:
-        """Returns True for cells that MuJoCo ran whose first event is the predicted one, shape (M,)."""
-        return self.driven.first == self.predicted.first[self.cells]
+    def others(self) -> list[int]:
+        """Returns the cells whose first event in MuJoCo is not the predicted one."""
+        return [i for i, one in self.driven.items() if one.first != self.predicted.first[i]]
 
     @property
     def agreement(self) -> float:
         """Share of the cells that MuJoCo ran whose prediction was right."""
-        return float(self.agrees.mean())
+        return 1 - len(self.others) / len(self.driven)
 
     @property
     def unexplained(self) -> int:
         """Cells whose prediction was wrong though they lie at no boundary."""
-        return int(np.sum(~self.agrees & ~self.boundary))
+        return len({*self.others} - self.boundary)
 
     @property
     def furthest(self) -> float:
@@ -170,22 +137,15 @@ def validity(
     """
     predicted = _predicted(vehicle, controller, bumps, time, loads, progress)
     chosen = np.arange(len(bumps)) if every else _spread(shape or (len(bumps),))
-    some = [bumps[i] for i in chosen]
-    near = [
-        _predicted(vehicle, controller, [replace(bump, height=factor * bump.height) for bump in some], time, loads).first
-        for factor in (1 - BOUNDARY, 1 + BOUNDARY)
-    ]
-    boundary = np.any([one != predicted.first[chosen] for one in near], axis=0)
-    at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
-    parts = [_driven(vehicle, controller, some[k : k + at_once], time, loads) for k in range(0, len(some), at_once)]
-    driven = Driven(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Driven)))
-    edges, columns = _at_edges(bumps, predicted.used.max(axis=1), shape or (len(bumps),)), list[Column]()
-    for i in edges:
-        response = analysed(vehicle, controller, [loaded(bumps[i], loads)], time).run(0)
-        samples = needed(vehicle, controller, response)
-        columns.append(Column(controller, bumps[i], predicted.used[i] / abs(bumps[i].height), samples))
-    ends = enclosed(vehicle, columns, time, loads, WITHIN)
-    return Cells(tuple(bumps), predicted, chosen, driven, boundary, dict(zip(edges, ends, strict=True)))
+    runs = driven(vehicle, [(controller, loaded(bumps[i], loads), len(time)) for i in chosen], time)
+    boundary = set[int]()
+    for factor in (1 - BOUNDARY, 1 + BOUNDARY):
+        moved = [replace(bumps[i], height=factor * bumps[i].height) for i in chosen]
+        boundary |= {*chosen[_predicted(vehicle, controller, moved, time, loads).first != predicted.first[chosen]].tolist()}
+    edges = _at_edges(bumps, predicted.used.max(axis=1), shape or (len(bumps),))
+    ends = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
+    found = {i: end for i, end in zip(edges, ends, strict=True) if end is not None}
+    return Cells(tuple(bumps), predicted, dict(zip(chosen.tolist(), runs, strict=True)), frozenset(boundary), found)
 
 
 def _spread(shape: tuple[int, ...]) -> Array:
@@ -232,8 +192,8 @@ def _predicted(
     used, times = np.empty((2, len(bumps), len(REGIME_ENDS)))
     travel, moves = np.empty(len(bumps)), [suspension.deflection for suspension in vehicle.kind.suspensions]
     roads, done = list(members), 0
-    for start in range(0, len(roads), MOST_AT_ONCE):
-        some = roads[start : start + MOST_AT_ONCE]
+    for start in range(0, len(roads), AT_ONCE):
+        some = roads[start : start + AT_ONCE]
         responses = analysed(vehicle, controller, some, time)
         for k, road in enumerate(some):
             mine, run = members[road], responses.run(k)
@@ -247,31 +207,3 @@ def _predicted(
     if not is_linear(vehicle, controller):
         times[:, REGIME_ENDS.index(DAMPER)] = np.inf
     return Predicted(used, first_end(times), times.min(axis=1), travel)
-
-
-def _driven(vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, loads: tuple[Load, ...]) -> Driven:
-    """Runs bumps in MuJoCo, and compares them with the response of the linear loop, without curves and adjustable dampers."""
-    roads = [loaded(bump, loads) for bump in bumps]
-    physics = simulate([controller] * len(bumps), [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    linear = sampled_responses(
-        LoopModel(vehicle.linearised, controller, float(time[1])), [RoadInput(vehicle.linearised, road, time) for road in roads]
-    )
-    first, when = first_in_physics(vehicle, controller, physics.response, physics.diverged)
-    error = [
-        np.inf if np.isfinite(diverged) else largest_difference(vehicle, physics.response.run(i), linear.run(i))
-        for i, diverged in enumerate(physics.diverged)
-    ]
-    squares = np.zeros((2, len(bumps)))  # of what is missing, and of what was requested
-    for one in vehicle.adjustable:
-        missing = squarable(np.nan_to_num(physics.response[one.missing]))
-        given = np.nan_to_num(physics.response[one.force])
-        squares += np.sum([missing**2, (given + missing) ** 2], axis=-1)
-    missing = np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf))
-    return Driven(
-        np.array(error),
-        first,
-        when,
-        physics.diverged,
-        physics.ran_away,
-        missing if vehicle.adjustable else np.full(len(bumps), np.nan),
-    )

@@ -16,7 +16,7 @@ from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
+from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
@@ -29,7 +29,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        dampers = ("missing_force",) if np.isfinite(cells.driven.missing).any() else ()
+        dampers = ("missing_force",) if _has_dampers(cells) else ()
         shares = (f"linear_share_of_{name}" for name in names)
         writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
         for row, used in zip(_cells(cells, threshold), cells.predicted.used.tolist(), strict=True):
@@ -58,23 +58,23 @@ def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
 
 def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
     """Returns a JSON object for each cell."""
-    rows, driven = [], cells.driven
+    rows = []
     for i, bump in enumerate(cells.bumps):
         row: dict[str, Any] = {name: getattr(bump, name) for name in UNITS}
         row |= dict.fromkeys(("error", "holds", "broke_first", "at"))
         row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted.time[i]), "agrees": None}
-        rows.append(row | {"simulated": False} | ({"missing_force": None} if np.isfinite(driven.missing).any() else {}))
-    for k, i in enumerate(cells.cells):
-        rows[i] |= {
-            "error": finite(driven.error[k]),
-            "holds": bool(driven.error[k] <= threshold),
-            "broke_first": END_NAMES[driven.first[k]] if driven.first[k] >= 0 else None,
-            "at": finite(driven.time[k]),
-            "agrees": bool(cells.agrees[k]),
-            "simulated": True,
-            **({"missing_force": float(driven.missing[k])} if "missing_force" in rows[i] else {}),
-        }
+        row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
+        if (one := cells.driven.get(i)) is not None:
+            row |= {"error": finite(one.error), "holds": one.error <= threshold, "at": finite(one.time)}
+            row |= {"broke_first": END_NAMES[one.first] if one.first >= 0 else None, "agrees": i not in cells.others}
+            row |= {"missing_force": one.missing} if _has_dampers(cells) else {}
+        rows.append(row)
     return rows
+
+
+def _has_dampers(cells: Cells) -> bool:
+    """Returns True if the vehicle has adjustable dampers."""
+    return any(math.isfinite(one.missing) for one in cells.driven.values())
 
 
 def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
@@ -92,23 +92,23 @@ def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     """Returns a map in lines for a terminal."""
 
-    def share(which: Array, of: str = "the cells") -> str:
-        return f"{100 * which.mean():5.1f} % of {of}"
+    def share(share: float, of: str = "the cells") -> str:
+        return f"  {100 * share:5.1f} % of {of}"
 
     analysis = "the analysis with its dampers" if cells.short else "linear analysis"
-    first, driven, count = cells.predicted.first, cells.driven, len(cells.cells)
-    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"  {share(first < 0)}: nothing breaks"]
-    lines += [f"  {share(first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
+    first, count, others = cells.predicted.first, len(cells.driven), len(cells.others)
+    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(np.mean(first < 0))}: nothing breaks"]
+    lines += [f"{share(np.mean(first == i))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
     if np.any(first == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
     lines += ["", f"MuJoCo, run in {count} of {len(cells.bumps)} cells:"]
-    lines.append(f"  {share(driven.error <= threshold, 'these')}: linear analysis holds to {threshold:g} of every peak")
-    if driven.ran_away.any():
-        lines.append(f"  {share(driven.ran_away, 'these')}: the law's own states run away until it asks for no finite force")
+    holds = cells.share(lambda one: one.error <= threshold)
+    lines.append(f"{share(holds, 'these')}: linear analysis holds to {threshold:g} of every peak")
+    if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
+        lines.append(f"{share(away, 'these')}: the law's own states run away until it asks for no finite force")
     if cells.short:
         lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
         lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
-    others = int(np.sum(~cells.agrees))
     text = f"; of the other {others}, {cells.unexplained or 'none'} lies away from a boundary" if others else ""
     text = f"{count - others} of {count} cells break as {analysis} predicts{text}"
     if cells.ends:
@@ -173,30 +173,30 @@ def envelope_figure(
         whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
         curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
-    if vertical.name == "height" and cells.ends:
-        at = np.array([(places[i, 0], end.found) for i, end in cells.ends.items() if np.isfinite(end.found)]).reshape(-1, 2)
-        curves.append(Curve(*at.T, ENCLOSED, "#000000", "none", "D"))
+    ends = {i: end for i, end in cells.ends.items() if end.end}
+    at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
+    curves += [Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D")] if at else []
     curves += _markers(cells, places, threshold)
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel)
 
 
-ENCLOSED = "MuJoCo: two runs enclose the end"
+ENCLOSED = "MuJoCo: two runs enclose the height of the end"
 
 
 def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
     """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
-    driven, within = cells.driven, f"{100 * threshold:g} % of a peak"
-    ended, off = (driven.first >= 0) | np.isfinite(driven.diverged), driven.error > threshold
-    kinds: tuple[tuple[Array, str, str, Marker], ...] = (
-        (~ended & cells.agrees, "MuJoCo: nothing breaks", GREEN, "o"),
-        (ended & cells.agrees & ~off, f"MuJoCo: it ends, linear analysis is within {within}", VERMILLION, "+"),
-        (ended & cells.agrees & off, f"MuJoCo: it ends, linear analysis is off by more than {within}", VERMILLION, "x"),
-        (~cells.agrees, "MuJoCo: another end than predicted", "#000000", "x"),
-    )
-    return [
-        Curve(*places[cells.cells[which]].T, label, color, "none", marker) for which, label, color, marker in kinds if which.any()
-    ]
+    within, kinds = f"{100 * threshold:g} % of a peak", dict[tuple[str, str, Marker], list[int]]()
+    for i, one in cells.driven.items():
+        kind: tuple[str, str, Marker] = ("nothing breaks", GREEN, "o")
+        if i in cells.others:
+            kind = ("another end than predicted", "#000000", "x")
+        elif one.end and one.error <= threshold:
+            kind = (f"it ends, linear analysis is within {within}", VERMILLION, "+")
+        elif one.end:
+            kind = (f"it ends, linear analysis is off by more than {within}", VERMILLION, "x")
+        kinds.setdefault(kind, []).append(i)
+    return [Curve(*places[mine].T, f"MuJoCo: {label}", color, "none", marker) for (label, color, marker), mine in kinds.items()]
 
 
 def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
@@ -208,7 +208,7 @@ def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) ->
     )
     return (
         f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. Colours "
-        f"and line: predicted. Markers: MuJoCo, in {len(cells.cells)} of {len(cells.bumps)} cells, of which "
+        f"and line: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
         f"{100 * cells.agreement:.4g} % {ends}{edge}"
     )
 
@@ -228,8 +228,8 @@ def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: st
         if np.any(used[:, i] > 0)
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
-    if axis.name == "height" and cells.ends:
-        curves.append(Curve(*np.array([(end.found, 1.0) for end in cells.ends.values()]).T, ENCLOSED, "#000000", "none", "D"))
+    if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
+        curves.append(Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1), threshold)
     panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
     return _figure(controller, cells, title, panel)
