@@ -209,17 +209,6 @@ def test_edges_are_those_of_a_dense_map(name, controller, speeds, limited, monke
         assert dense.driven[first].end in end.near
 
 
-def test_heights_are_one_number(limited, designer):
-    """The height at which the linear regime ends is one over the use per metre: just below nothing breaks, just above it does."""
-    controller = designer.design("II")
-    for speed in (6.0, 25.0):
-        unit = sampled_response(limited, controller, Bump(1.0, 5.0, speed), TIME)
-        used = utilisation(limited, unit)
-        bumps = [Bump(factor / used.max(), 5.0, speed) for factor in (0.999, 1.001)]
-        found = validity(limited, controller, bumps, TIME)
-        assert [one.first for one in found.driven.values()] == [-1, used.argmax()]  # 0.1 %: RK4 at 2 ms moves a peak by 1e-5
-
-
 def test_holes_break_as_predicted(limited, designer):
     """Over holes, bumps of negative height, what breaks first is what is predicted, bump stops and saturation among it."""
     bumps = [Bump(-height, 5.0, speed) for height in (0.02, 0.06, 0.1, 0.2) for speed in (6.0, 12.5, 25.0)]

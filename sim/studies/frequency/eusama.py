@@ -99,7 +99,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
         round(count * timestep * omega / (2 * np.pi)) * 2 * np.pi / (count * timestep)
         for omega, count in zip(worst, samples, strict=True)
     ]
-    count = max((1 + lead_in(vehicle, [one], timestep, some)) * some for (one, _), some in zip(each, samples, strict=True))
+    count = max(lead_in(vehicle, [one], timestep, some) + some for (one, _), some in zip(each, samples, strict=True))
     time, inputs = sample_times(vehicle, count * timestep, timestep)[:-1], []
     for (_, wheel), omega in zip(each, tried, strict=True):
         waves = STROKE * omega * np.eye(1, len(wheels), wheel, dtype=complex)

@@ -21,7 +21,7 @@ from sim.response.response import Response, difference
 from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
 
-AT_ONCE = 16  # runs in a batch: more would wait for the longest
+AT_ONCE = 32  # runs in a batch: more would wait for the longest
 
 
 @dataclass(frozen=True)

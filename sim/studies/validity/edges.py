@@ -28,7 +28,7 @@ class Edge:
         parts: predicted first end, or empty for none, with its first and last value on the axis, in order.
         end: end at the smallest height by linear analysis; empty if not requested, or none.
         height: smallest height [m]; infinite without one.
-        found: that end as MuJoCo encloses it; None if it was not run there.
+        found: the same end, enclosed by MuJoCo; None if MuJoCo was not run there.
     """
 
     at: Mapping[str, float]

@@ -13,6 +13,7 @@ proportional to the height, so every cell has its own.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ WITHIN = 1.004  # factor on the height, either way, between the runs that enclos
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What analysis says of N bumps.
+    """Predictions for N bumps.
 
     Attributes:
         used: share of the way to each of `REGIME_ENDS`, shape (N, E).
@@ -87,10 +88,10 @@ class Cells:
         much = most if least == most else f"{least} to {most}"
         return f"of the force asked of its adjustable dampers {much} (rms) is missing"
 
-    @property
-    def others(self) -> list[int]:
+    @cached_property
+    def others(self) -> frozenset[int]:
         """Returns the cells whose first event in MuJoCo is not the predicted one."""
-        return [i for i, one in self.driven.items() if one.first != self.predicted.first[i]]
+        return frozenset(i for i, one in self.driven.items() if one.first != self.predicted.first[i])
 
     @property
     def agreement(self) -> float:
@@ -100,7 +101,7 @@ class Cells:
     @property
     def unexplained(self) -> int:
         """Cells whose prediction was wrong though they lie at no boundary."""
-        return len({*self.others} - self.boundary)
+        return len(self.others - self.boundary)
 
     @property
     def furthest(self) -> float:
@@ -151,10 +152,10 @@ def validity(
 def _spread(shape: tuple[int, ...]) -> Array:
     """Returns the indices of a few cells of a grid that fill it evenly."""
     count = int(np.prod(shape))
-    wanted = max(FEWEST, round(count * IN_CELLS))
-    if wanted >= count:
-        return np.arange(count)
-    places = (0.5 + np.multiply.outer(np.arange(wanted), SPREAD[: len(shape)])) % 1
+    wanted = min(count, max(FEWEST, round(count * IN_CELLS)))
+    if len(shape) == 1 or wanted == count:
+        return np.linspace(0, count - 1, wanted).round().astype(int)
+    places = (0.5 + np.multiply.outer(np.arange(wanted), SPREAD)) % 1
     return np.unique(np.ravel_multi_index(tuple((places * shape).astype(int).T), shape))
 
 
