@@ -155,7 +155,8 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     pieces = [lambda stopped, part=part: next(part(stopped), None) for part in parts]
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
-    values = np.concatenate([block.values for block in blocks], axis=2)
+    values, most = np.concatenate([block.values for block in blocks], axis=2), max(block.kept.shape[2] for block in blocks)
+    blocks = [replace(one, kept=np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2])))) for one in blocks]
     names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept", "measured")
     arrays = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names)
     return Block(0, values, *arrays, blocks[0].names)

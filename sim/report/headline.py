@@ -15,7 +15,7 @@ from sim.runs.report import NO_STATE
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
-from sim.studies.validity.regime_end import REACHES, RegimeEnd
+from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from synth.controller.controller import Controller
 
 HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride
@@ -227,7 +227,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             )
             statements.append(Statement(text, "fails"))
         else:
-            height = (end.stays + end.leaves) / 2
+            height = end.found
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
             heights.append(f"{as_name(one.name)} {height:.3g} m ({end.end}{predicted})")
     comma = "," if scope.blurred else ""
@@ -240,7 +240,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     )
     if errors:
         text += (
-            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: "
+            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (WITHIN - 1):.2g} % or less on either side of each: "
             "below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )

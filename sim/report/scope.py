@@ -23,6 +23,7 @@ from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
+COARSER = 2.5  # times the report's step, at most that of the map
 LEAST = 1e-4  # relative; a smaller change is below the digits that stand beside it
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
@@ -211,14 +212,15 @@ class Scope:
 
     @property
     def map_timestep(self) -> float:
-        """The step of the map's many runs [s]: twice the report's, where the controller's sample period is a multiple of that."""
-        twice = 2 * self.timestep
+        """The step of the map's many runs [s]: about twice the report's, a part of the controller's sample period."""
+        period = self.vehicle.implementation.sample_period or 2 * self.timestep
+        step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
-            steps_per_sample(self.vehicle.implementation, twice)
-            sample_times(self.vehicle, BUMP_DURATION, twice)
+            steps_per_sample(self.vehicle.implementation, step)
+            sample_times(self.vehicle, BUMP_DURATION, step)
         except ValueError:
             return self.timestep
-        return twice
+        return step
 
 
 def file_stem(vehicle: Vehicle) -> str:

@@ -148,7 +148,7 @@ def _metres(height: tuple[float, float]) -> str:
 
 def _height(end: RegimeEnd) -> tuple[float, float]:
     """Returns the height of the end of a linear regime, predicted and in MuJoCo [m]."""
-    return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
+    return end.predicted, end.found if end.confirmed else math.nan
 
 
 def _against(value: float, passive: float) -> str:
