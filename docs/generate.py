@@ -217,7 +217,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         for key in semi_active.KEYS
     ]
     sections["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
-    sections["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
+    sections["[limits]"] += [*((key, one.unit, one.meaning) for key, one in limits.items()), ("limit", "", stops["limit"])]
     sections["[implementation]"] = [
         (key, "", own.get(key, "design for the sampled-data loop, unless a controller's section sets another value"))
         for key in IMPLEMENTATION_KEYS

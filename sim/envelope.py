@@ -56,6 +56,7 @@ def parser() -> Parser:
     parser.add_number("--threshold", 0.05, "-", "largest error with which linear analysis counts as valid, relative to the peak")
     parser.add_number("--duration", 3.0, "s", "duration of each run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    parser.add_argument("--every-cell", action="store_true", help="simulate every cell; takes ten times as long")
     parser.add_logs("the runs closest to each limit")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the numbers of every cell (.csv)")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png or .svg); needs matplotlib")
@@ -75,9 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
     from sim.runs.run import sample_times
+    from sim.studies.validity.driven import loaded
     from sim.studies.validity.edges import edge_lines, edges, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
-    from sim.studies.validity.regime_map import loaded, validity
+    from sim.studies.validity.regime_map import validity
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
 
@@ -99,7 +101,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
     warn(vehicle, [controller])
-    cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
+    shape = tuple(len(axis.values) for axis in axes)
+    cells = validity(
+        vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads, shape, options.every_cell
+    )
     stage("picture and logs")
     fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
     along, found = edges(cells, axes, proportional=not (loads or vehicle.is_curved))
@@ -110,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.studies.validity.report import envelope_figure
 
         write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
-    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges_object(along, found)}
+    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges_object(along, found, cells)}
     result |= loads_object(options.loads) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
     logs = recorded(options, given, [controller.name], nearest, result)
@@ -119,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))
     else:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
-        about = f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}{under}"
+        about = f"{vehicle.kind.name} with controller {controller.name}, over {len(bumps)} bumps{under}"
         lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
         if not controller.certificate.stable:
             lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
@@ -131,16 +136,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _nearest_runs(
     vehicle: "Vehicle", controller: "Controller", cells: "Cells", time: "Array", loads: "tuple[Load, ...]"
 ) -> "dict[str, Run]":
-    """Runs the cell nearest to an event among those without one, and the mildest cell of each first event."""
+    """Runs the cell nearest to an event among those without a predicted one, and the mildest cell of each predicted event."""
     import numpy as np
 
     from sim.response.regime import END_NAMES
     from sim.runs.run import run_controllers
-    from sim.studies.validity.regime_map import loaded
+    from sim.studies.validity.driven import loaded
 
-    nearest, used = {}, cells.used.max(axis=-1)
+    nearest, used = {}, cells.predicted.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
-        mine = np.flatnonzero(cells.first == end)
+        mine = np.flatnonzero(cells.predicted.first == end)
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
             what = "nothing breaks" if end < 0 else END_NAMES[end]

@@ -56,8 +56,8 @@ def _mixed(color: str, other: str, share: float) -> str:
 
 LIGHT, DARK = "#ffffff", "#16181b"  # backgrounds of figures, as in page.css
 VERDICTS = {
-    "holds": "MuJoCo agrees with the analysis, over the paper's bump throughout",
-    "ends": "nothing is refuted, but not all of it holds throughout",
+    "holds": "MuJoCo agrees, and every claim holds throughout",
+    "ends": "no check fails, but not every claim holds throughout",
     "fails": "something FAILS",
 }
 MARKS = {"holds": "✓", "ends": "!", "fails": "✗"}  # so that a state is not told by its colour alone

@@ -210,7 +210,7 @@ class Iso8608(Road):
         if math.isnan(step) or not np.allclose(np.diff(t), step, rtol=1e-6, atol=0.0):
             lines = self._lines(side, rate)
             flat, size = t.ravel(), max(1, BLOCK // len(lines))
-            parts = [self._turn(flat[i : i + size, None]) for i in range(0, len(flat), size)]
+            parts = [self._turn(flat[i : i + size, None]) for i in range(0, max(len(flat), 1), size)]
             return np.concatenate([np.real(part @ lines) for part in parts]).reshape(t.shape)
         evenly = _evenly if len(t) <= MOST_KEPT else _evenly.__wrapped__
         return evenly(self, side, rate, float(t[0]), float(step), len(t))

@@ -19,6 +19,9 @@ LIMITS = (
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
 
+ORDERS = ("force", "command")  # of `Limits.limit`
+MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
+
 IMPLEMENTATION_KEYS = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
 LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 50  # sample periods; each is a state of the sampled loop
@@ -34,6 +37,7 @@ class Limits:
         stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or these for each side.
         actuator_force: largest force [N].
         actuator_bandwidth: corner frequency of the first-order lag from the requested force to the force [rad/s].
+        limit: `"command"` limits the requested force before the lag, `"force"` the force behind the lag; None means `"force"`.
         places: the axles and corners with other stops.
     """
 
@@ -43,6 +47,7 @@ class Limits:
     stop_stiffness: "Stiffness | StopPair | None" = None
     actuator_force: float | None = None
     actuator_bandwidth: float | None = None
+    limit: str | None = None
     places: "tuple[Place, ...]" = ()
 
     @property
@@ -68,7 +73,7 @@ class Limits:
         """The given limits as in a vehicle file, by key; values of one side by `key.side`."""
         given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
         if not self.stopped:
-            return {name: f"{value:g}" for name, value in given.items()}
+            return {name: _text(value) for name, value in given.items()}
         from models.suspension.bump_stops import StopPair
 
         for place in self.places:
@@ -80,27 +85,36 @@ class Limits:
                 if isinstance(value, StopPair)
                 else {name: value}
             )
-        return {
-            name: f"[{', '.join(f'{k:g}' for k in value)}]" if isinstance(value, tuple) else f"{value:g}"
-            for name, value in flat.items()
-        }
+        return {name: _text(value) for name, value in flat.items()}
 
     @property
     def record(self) -> dict[str, Any]:
-        """The limits as a section that `read_limits` reads; None for limits that are not given."""
-        limits = asdict(self)
+        """The limits as a section that `read_limits` reads; None for limits that are not given. `limit` is then left out."""
+        limits = {name: value for name, value in asdict(self).items() if name != "limit" or value is not None}
         places = limits.pop("places")
         return limits | {place.pop("name"): {key: v for key, v in place.items() if v is not None} for place in places}
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
         """The keys that limit actuators."""
-        return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
+        return tuple(name for name in ("actuator_force", "actuator_bandwidth", "limit") if getattr(self, name) is not None)
+
+    @property
+    def limits_commands(self) -> bool:
+        """True if commands are limited before the lag."""
+        return self.actuator_force is not None and self.limit == "command"
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """The largest command before the lag and the largest force behind the lag [N], infinite without a limit."""
+        if self.actuator_force is None:
+            return math.inf, math.inf
+        return self.actuator_force if self.limits_commands else MOST_ASKED, self.actuator_force
 
     @property
     def without_actuators(self) -> "Limits":
         """The limits of the suspensions alone."""
-        return replace(self, actuator_force=None, actuator_bandwidth=None)
+        return replace(self, actuator_force=None, actuator_bandwidth=None, limit=None)
 
     def without(self, part: str) -> "Limits":
         """Returns the limits without a part; see `Vehicle.without`."""
@@ -116,12 +130,19 @@ class Limits:
 
             phrases += stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
-            phrases.append(f"forces up to ±{self.actuator_force:g} N")
+            phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
             phrases.append(
                 f"actuators that lag from {self.actuator_bandwidth / (2 * math.pi):.4g} Hz on ({self.actuator_bandwidth:g} rad/s)"
             )
         return tuple(phrases)
+
+
+def _text(value: "float | Stiffness | str") -> str:
+    """Returns a value of `[limits]` as in a vehicle file."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{k:g}' for k in value)}]"
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def samples(count: float) -> str:
@@ -219,16 +240,22 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     """
     of_actuators = {parameter.name: parameter for parameter in LIMITS}
     for name, value in section.items():
-        if name not in of_actuators and name not in STOP_KEYS and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_KEYS, *of_actuators))}")
-    of_stops = {name: value for name, value in section.items() if name not in of_actuators}
+        if name not in (*of_actuators, "limit", *STOP_KEYS) and not isinstance(value, Mapping):
+            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_KEYS, *of_actuators, 'limit'))}")
+    if (limit := section.get("limit")) is not None:
+        if limit not in ORDERS:
+            raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
+        if "actuator_force" not in section:
+            raise InputError(f"[limits] has limit = {limit!r} and no largest force; give actuator_force [N], or omit limit")
+    of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
     limits = Limits()
     if of_stops:
         from models.suspension.bump_stops import read_places
 
         common, *places = read_places(of_stops, [part.corner for part in suspensions])
         limits = Limits(common.suspension_stroke, common.stop_stiffness, places=tuple(places))
-    return replace(limits, **{name: part.check(section[name]) for name, part in of_actuators.items() if name in section})
+    given = {name: part.check(section[name]) for name, part in of_actuators.items() if name in section}
+    return replace(limits, **given, limit=limit)
 
 
 def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:

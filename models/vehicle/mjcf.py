@@ -27,7 +27,6 @@ from models.vehicle.vehicle import Vehicle
 
 
 GIVE = "give the model of the kind of vehicle"
-MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
 FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
@@ -151,8 +150,9 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             continue
         if limits.actuator_force is not None:
             actuator.forcelimited = True
-            actuator.forcerange = [-limits.actuator_force, limits.actuator_force]
-            actuator.ctrlrange = [-MOST_ASKED, MOST_ASKED]  # beyond 1e10 MuJoCo would replace the force by 0
+            command, force = limits.largest
+            actuator.forcerange = [-force, force]
+            actuator.ctrlrange = [-command, command]  # beyond 1e10 MuJoCo would replace the force by 0
         if limits.actuator_bandwidth is not None:
             # Integrated with the rest by RK4. `filterexact` is exact by itself, but reaches RK4's stages half a step late.
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER

@@ -44,7 +44,7 @@ from models.common.arrays import Array
 from models.common.printed import Shown
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import MOST_ASKED, build_spec, damped_tyres, mocap_indices, pushed_dofs
+from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging
@@ -63,7 +63,7 @@ SMOOTH, SMALLEST = 0.2, 1e-7
 # A fault leaves as much at any step, and what RK4 leaves falls with the second power of the step, or a higher one. So a run that
 # leaves more is driven at half the step, too, and this times the fall is allowed on top: 4 / 3 of it is the error of the second
 # power. A wheel of 7 kg on a tyre of 430 kN/m, often in the air, leaves 2.6e-3 at 1 ms and 5.7e-4 at half of it.
-FALLS, COARSEST = 1.5, 0.1  # and the most that is ever allowed: a balance that is further off confirms nothing
+FALLS, COARSEST = 1.5, 0.1  # and the largest residual that confirms a balance; a larger one is not evaluated
 NEAR = 0.95  # share of a tyre's or a suspension's distance to a kink at which it may reach the kink within a step
 ROUNDING = 1e-8  # smallest turnover, relative to the energy at rest: below it the residual is rounding
 AT_ONCE = 4096  # states that are evaluated together
@@ -102,13 +102,27 @@ class Energy(Shown):
         """Returns whether it balances, and the energies, as text."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
         joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        verdict = "balances" if self.balances else "DOES NOT BALANCE"
-        return f"energy {verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+        return f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+
+    @property
+    def fails(self) -> bool:
+        """Returns True if the residual is more than the integrator's error, or a damper gave energy."""
+        return not self.residual <= self.allowed or (self.least is not None and self.least < -ROUNDING)
+
+    @property
+    def judged(self) -> bool:
+        """Returns False if the integrator's error explains the residual, but is too large to confirm a balance."""
+        return self.fails or self.allowed <= COARSEST
 
     @property
     def balances(self) -> bool:
         """Returns True if the residual is within the integrator's error, and no damper gave energy."""
-        return self.residual <= self.allowed and (self.least is None or self.least >= -ROUNDING)
+        return self.judged and not self.fails
+
+    @property
+    def verdict(self) -> str:
+        """The verdict, in words."""
+        return "DOES NOT BALANCE" if self.fails else "balances" if self.judged else "is not evaluated"
 
     @property
     def doubtful(self) -> bool:
@@ -118,7 +132,7 @@ class Energy(Shown):
     def beside(self, finer: "Energy") -> "Energy":
         """Returns the balance with its allowed residual, given the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
-        return replace(self, allowed=max(self.allowed, min(COARSEST, self.allowed + FALLS * falls)))
+        return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))
 
 
 def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf) -> Energy:
@@ -248,9 +262,12 @@ class _FittedForces:
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
-    """Returns True if a force may have had a kink: a tyre in the air, a bump stop, a curve, or a lagging force at its limit."""
-    reached = utilisation(vehicle, response)
-    ends = [LIFT_OFF, BUMP_STOP] + ([] if vehicle.limits.actuator_bandwidth is None else [SATURATION])
+    """Returns True if a force may have had a kink: a tyre in the air, a bump stop, a curve, or a lagging force at its limit.
+
+    A command that is limited before the lag is held over a step, so that its force has no kink within the step.
+    """
+    reached, limits = utilisation(vehicle, response), vehicle.limits
+    ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
     bent = any(len(fitted.curve.pieces.slope) for fitted in vehicle.fitted)
     bent = bent or any(one.damper.pair is not None for one in vehicle.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
@@ -367,16 +384,16 @@ def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roa
 def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
     """Returns the actuators' forces [N] in RK4's stages of every step, shape (4, T - 1, m).
 
-    The largest force limits what lags behind a request, which may be far beyond it and change its sign within a step.
+    What lags behind a request beyond the largest force may change its sign within a step.
 
     Args:
         forces: forces of physics at the samples [N], shape (T, m).
         requested: forces requested by the controller, see `PhysicsRuns`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
-    if limits.actuator_force is None:
+    if limits.actuator_force is None or limits.limits_commands:
         return np.stack(lag_stages(forces, z))
-    most = limits.actuator_force
-    asked = np.clip(requested[:, : forces.shape[1]], -MOST_ASKED, MOST_ASKED)
+    largest, most = limits.largest
+    asked = np.clip(requested[:, : forces.shape[1]], -largest, largest)
     stages = lag_stages(np.where(np.abs(forces) < AT * most, forces, lagging(asked, z)), z)
     return np.clip(stages, -most, most)

@@ -12,7 +12,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
+from sim.response.jumps import Jumps
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import has_anti_windup
@@ -117,6 +118,9 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
+    if vehicles[0].dampers:
+        jumps = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
+        response = replace(response, before={name: response[name] - jump for name, jump in jumps.items()})
     states = [kept_signals(range(1, one.states + 1)) for one in controllers]
     periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
     scales = [one.state_scale(period) for one, period in zip(controllers, periods, strict=True)]
@@ -141,7 +145,8 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     pieces = [lambda stopped, part=part: next(part(stopped), None) for part in parts]
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
-    values = np.concatenate([block.values for block in blocks], axis=2)
+    values, most = np.concatenate([block.values for block in blocks], axis=2), max(block.kept.shape[2] for block in blocks)
+    blocks = [replace(one, kept=np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2])))) for one in blocks]
     names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept", "measured")
     arrays = {name: np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names}
     return Block(0, values, **arrays, names=blocks[0].names)

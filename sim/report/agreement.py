@@ -1,4 +1,4 @@
-"""The sections of a report that hold one road of MuJoCo against the analysis: the paper's bump, agreement, damper diagrams."""
+"""The sections of a report that compare MuJoCo with analysis over one road: the paper's bump, agreement, damper diagrams."""
 
 import math
 from collections.abc import Sequence
@@ -27,16 +27,15 @@ ROOM = 1.15  # times what was reached, on both axes
 
 
 def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
-    """Force over velocity of every damper that has a curve or is adjustable, over deflection of every spring with a curve.
+    """Returns force over velocity of nonlinear and semi-active dampers, and over deflection of nonlinear springs.
 
-    Returns:
-        The figure; None of a vehicle with neither.
+    It is None for a vehicle without such parts.
     """
     drawn = diagrams(scope.vehicle)
     if not drawn:
         return None
     title = (
-        f"What dampers and springs pull with {where}, beside their curves or limits, and the lines of linear analysis.\n"
+        f"Forces of dampers and springs {where}, with their curves or limits, and the lines of linear analysis.\n"
         "Points: MuJoCo, a damper with its actuator"
     )
     panels = tuple(_panel(scope, diagram, runs) for diagram in drawn)
@@ -68,10 +67,8 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     simple = scope.prompt and not scope.is_nonlinear
     panels = history_panels(runs, scope.styles, lambda run: _bounded(scope, run), continuous=simple)
     lines = f"linear analysis of the continuous loop{scope.lag}"
-    if scope.is_nonlinear:
-        lines = f"{scope.analysis}, {scope.as_it_runs}"
-    elif not scope.prompt:
-        lines = f"linear analysis of the loop as it runs, {scope.as_it_runs}"
+    if not simple:
+        lines = f"{scope.analysis} of the loop as it runs, {scope.as_it_runs}"
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
         f"{lines_text(panels, lines, all(_bounded(scope, run) for run in runs))} at {1e3 * scope.timestep:g} ms"
@@ -89,20 +86,17 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         Column("rms, sampled", lambda of: of[1].sampled.rms(of[0]), ".5g"),
         Column("rms, continuous", lambda of: of[1].continuous.rms(of[0]), ".5g"),
     )
-    caption = "Largest values over the bump in MuJoCo; below, and in the file, those of both linear analyses and all rms values."
+    caption = "Peaks over the bump in MuJoCo; below, and in the file, peaks of both linear responses, and all rms values."
     pivot = Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",))
     table = Table.of("bump", caption, columns, [(name, run) for name in signals for run in runs], words=3, pivot=pivot)
-    blur = scope.vehicle.implementation.noise_text.replace(" and ", " or ")
-    unknown = f" or {blur}" if blur else ""
-    response = "response" if scope.is_nonlinear else "linear response"
-    if scope.is_nonlinear:
-        response += scope.analysis.removeprefix("the analysis").replace("its", "the", 1)
+    blur = scope.vehicle.implementation.noise_text
+    response = "response with the curves" if vehicle.is_curved else "linear response"
     continuous = f"continuous {'linear ' * scope.is_nonlinear}loop{scope.lag}{scope.loop_qualifier}"
-    another = "another" if scope.is_nonlinear else "an"
     about = (
-        f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact {response} of the loop as it runs, {scope.as_it_runs}; "
-        f"'continuous' is that of the {continuous}. Neither knows {another} end of the linear regime{unknown}, "
-        f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
+        f"The runs start in equilibrium and take {BUMP_DURATION:g} s. 'Sampled' is the exact {response} of the loop as it runs, "
+        f"{scope.as_it_runs}; 'continuous' is the response of the {continuous}. Neither includes "
+        f"{f'{blur}, or ' if blur else ''}the events that end the linear regime, after which MuJoCo's peaks differ."
+        f"{' A controller that sets semi-active dampers has no sampled response.' * bool(vehicle.dampers)}"
     )
     diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
     figures = (figure,) if diagram is None else (figure, diagram)
@@ -125,11 +119,9 @@ def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetric
         Column("controller", lambda of: of[0].controller.name),
         *(column.of(lambda of: of[2]) for column in METRIC[1:]),
     )
-    caption = (
-        "Every metric in MuJoCo; below, and in the file, that of the exact sampled response and what is expected of such roads."
-    )
+    caption = "Every metric in MuJoCo; below, and in the file, in the sampled response, and the mean over all such roads."
     table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
-    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are measured {when}."
+    about = f"The runs take {scope.duration:g} s at {1e3 * scope.timestep:g} ms; metrics are measured {when}."
     about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
     return Section(
         "What happens over the road?", scope.road.words, (f"{about.removesuffix('.')}.", *verdicts_of(runs)), (table,), figures
@@ -137,7 +129,7 @@ def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetric
 
 
 def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
-    """Returns a sentence on the controller with the least peak of the body's acceleration, or an empty one without a choice."""
+    """Returns a sentence on the controller with the smallest peak acceleration of the body; empty without a choice."""
     name, peaks = acceleration_peaks(runs)
     if not name:
         return ""
@@ -148,7 +140,7 @@ def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
 
 
 def _bounded(scope: Scope, run: Run) -> bool:
-    """Returns True if the motion after the linear regime is still a vehicle's, so that its line has a bound."""
+    """Returns True if the motion after the linear regime is bounded, so that its line has a bound."""
     return not scope.unstable(run.controller) and run.broke_off is None
 
 
@@ -157,10 +149,11 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     rows, kinds = [], set()
     for run, fine in zip_longest(runs, finer):
         cause = run.prediction.cause
-        kinds.add("noise" if run.prediction.is_blurred else "geometry" if cause else "exact")
+        kinds |= {"noise"} if run.prediction.is_blurred else set()
+        kinds.add("geometry" if cause.startswith("geometry") else cause or "exact")
         for name, signal in run.agreement.signals.items():
             half = None if fine is None or cause else fine.agreement.signals[name]
-            # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
+            # Differences that do not shrink with the step have no order: noise, geometry, a controller slower than the step.
             rows.append(
                 (
                     run.controller.name,
@@ -177,52 +170,43 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     headings = ("controller", "signal", "to sampled", "allowed", "its order", "to continuous", "order of that")
     h = 1e3 * scope.timestep
     text = [
-        f"Largest difference over time as a share of the signal's peak, at a timestep of {h:g} ms, for as long as the comparison "
-        f"applies; and the power of the step with which it shrinks, from {h:g} to {h / 2:g} ms."
+        "A run agrees if every MuJoCo step equals one RK4 step of the vehicle's equations from the same state. Every command "
+        "must also equal the control law evaluated on the run's measurements.",
+        "The distance from linear analysis is a measurement: the largest difference over time, relative to the signal's peak, at "
+        f"a timestep of {h:g} ms, until linear analysis ends. Its order is the power of the step with which it shrinks, from "
+        f"{h:g} to {h / 2:g} ms.",
     ]
     if len(finer) < len(runs):
-        text.append(f"Orders are of {names_text(run.controller.name for run in finer)} alone.")
+        text.append(f"Orders are given for {names_text(run.controller.name for run in finer)} only.")
     if "exact" in kinds:
         text.append(
-            "MuJoCo is the exact sampled response to within its integrator's error, order 4. Below 1e-9 there is only rounding, "
+            "MuJoCo differs from the sampled response by its integrator's error, order 4. Below 1e-9 there is only rounding, "
             "which has no order."
         )
     if "noise" in kinds:
-        text.append(
-            f"A controller that measures with {scope.vehicle.implementation.noise_text} moves MuJoCo away from the sampled "
-            "response, which has no such errors. This difference has no order."
-        )
+        text.append(f"The sampled response has no {scope.vehicle.implementation.noise_text}; this difference has no order.")
     if "geometry" in kinds:
-        text.append(
-            "A body that turns is not linear. That difference does not shrink with the step, but with the height of the road."
-        )
+        text.append("Linear analysis assumes small rotations; this difference shrinks with the height of the road only.")
     if scope.is_nonlinear:
-        text.append(
-            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.loop_qualifier}, "
-            "so that the one does "
-            "not tend to the other, and they are not compared."
-        )
+        text.append(f"The continuous loop is linear{scope.loop_qualifier}, so that MuJoCo is not compared with it.")
     elif scope.prompt:
         text.append(
-            "The sampled response tends to the continuous one with order 1, because the force is held over a step; without a "
-            "force with order 2, because the road is."
+            "The sampled response tends to the continuous one with order 1, because the force is held over a step. Without a "
+            "force the order is 2, because the road is held."
         )
     else:
         text.append(
-            f"The sampled response does not tend to the continuous one: it has "
-            f"{', '.join(scope.vehicle.implementation.phrases)}, "
-            "whatever the step."
+            "The sampled response does not tend to the continuous one: it has "
+            f"{', '.join(scope.vehicle.implementation.phrases)}, at any step."
         )
     text.append(
-        "Energy is a check without analysis: what road and actuators put into a run is found again, stored or taken by the "
-        "dampers. What is left over is a share of what was turned over. What the integrator explains of it is allowed."
+        "Energy is a check without analysis: the work of road and actuators is stored or dissipated. The residual is relative to "
+        "the energy turned over; the integrator's error is allowed."
     )
-    caption = (
-        "How far MuJoCo is from the sampled response, as a share of each signal's peak; below, what is allowed, and the orders."
-    )
+    caption = "Distance of MuJoCo from the sampled response, relative to each peak; below, its allowed value or cause, and order."
     pivot = Pivot(("signal",), "controller", ("to sampled",))
     tables = (Table("agreement", caption, headings, tuple(rows), words=2, pivot=pivot), energy_table(runs, scope.where))
-    return Section("Does the physics do what the analysis says?", "agreement and its order, energy", tuple(text), tables)
+    return Section("Do the runs agree?", "agreement, distance from linear analysis, energy", tuple(text), tables)
 
 
 def energy_table(runs: Sequence[Run], where: str) -> Table:
@@ -238,7 +222,7 @@ def energy_table(runs: Sequence[Run], where: str) -> Table:
         Column("allowed", lambda of: of[1].allowed, "{:.1e}".format),
     )
     energies = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
-    caption = f"Where the energy of every run over {where} came from, and where it went."
+    caption = f"Energy of every run over {where}: its sources, and where it went."
     return Table.of("energy", caption, columns, energies)
 
 
@@ -248,5 +232,5 @@ def _settles(scope: Scope, run: Run) -> bool:
 
 
 def _order(coarse: float, fine: float) -> str:
-    """Power of the step with which an error shrinks; - where it is rounding."""
+    """Returns the power of the step with which an error shrinks; - for rounding."""
     return f"{math.log2(coarse / fine):.2f}" if fine > 1e-9 and coarse > 1e-9 else "-"

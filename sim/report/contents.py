@@ -29,7 +29,7 @@ from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
-from sim.studies.validity.regime_end import regime_end
+from sim.studies.validity.regime_end import regime_ends
 from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.paper import SEED, is_the_papers
 
@@ -75,7 +75,7 @@ def report(
     finer = run_controllers(vehicle, scope.driven[:MOST_ORDERS], scope.road, halves, balanced=False)
     scope.progress(REGIME)
     short = sample_times(vehicle, BUMP_DURATION, h)
-    ends = [(one, regime_end(ideal_measurements(vehicle), one, bump, short)) for one in scope.stable]
+    ends = list(zip(scope.stable, regime_ends(ideal_measurements(vehicle), scope.stable, bump, short), strict=True))
     parts = results()
 
     frequencies: Frequencies = parts[FREQUENCIES, ""]

@@ -19,11 +19,11 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
     numbers, time = code_of(driver).law.numbers, sample_times(vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(vehicle, [driver], scope.road, time)
     said, effect = verdict(run), run.prediction.code_effect
-    text = [f"Driven by the compiled code of this folder, in {numbers}, MuJoCo {said}, over {scope.where}."]
+    text = [f"The compiled code of this folder, in {numbers}, drives MuJoCo over {scope.where}: {said}."]
     if effect is not None and effect.clipped:
         text.append(f"{effect.clipped[0]} leaves its range there and is clipped there; export it with a larger one.")
     finding = Statement(
-        f"Over {scope.where} the exported code of {as_name(driver.name)}, in {numbers}, {said}.",
+        f"Exported code of {as_name(driver.name)}, in {numbers}, over {scope.where}: {said}.",
         "holds" if run.passed else "fails",
     )
     return Section(TITLE, TERM, tuple(text), (_facts(exported), _changes(run))), [finding]

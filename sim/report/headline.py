@@ -15,7 +15,7 @@ from sim.runs.report import NO_STATE
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
-from sim.studies.validity.regime_end import REACHES, RegimeEnd
+from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from synth.controller.controller import Controller
 
 HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride
@@ -67,24 +67,23 @@ def loops(scope: Scope) -> list[Statement]:
     if scope.laws:
         statements.append(
             Statement(
-                f"Of {names_text(one.name for one in scope.laws)} there is no linear claim, as "
-                f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
-                f"up to which analysis is true. MuJoCo drives {'them' if len(scope.laws) > 1 else 'it'} as it drives the others, "
-                f"and is held against {_held_against(scope)}."
+                f"Linear analysis does not apply to {names_text(one.name for one in scope.laws)}, as "
+                f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: there is no norm, bound or margin, and no "
+                f"height up to which analysis is true. MuJoCo's steps and commands are checked all the same. {_reference(scope)}"
             )
         )
     return statements
 
 
-def _held_against(scope: Scope) -> str:
-    """Describes the reference of MuJoCo for laws without linear claims."""
+def _reference(scope: Scope) -> str:
+    """Describes the sampled response for laws to which linear analysis does not apply."""
     if scope.vehicle.dampers:
-        return "the exact response of the system that its dampers switch"
-    return "the linear vehicle's response to the forces that it asked for"
+        return "There is no sampled response, because setting semi-active dampers is not linear."
+    return "'Sampled' is the linear vehicle's response to the forces of the law."
 
 
 def norms(scope: Scope) -> list[Statement]:
-    """The H-infinity norms, of the ideal loop and, where that is another, as built."""
+    """Returns a statement on the H-infinity norms of the ideal and of the implemented loop."""
     values = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     if not values:
         return []
@@ -105,31 +104,29 @@ def norms(scope: Scope) -> list[Statement]:
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
-    """Returns statements on the agreement of MuJoCo with linear analysis over the road, and its end."""
+    """Returns statements on the agreement of runs over the road, and on how long linear analysis applies to each."""
     built = "" if scope.is_ideal else " of the loop as built"
-    which = f"{scope.analysis}{built}"
-    throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
-    statements = []
-    if throughout:
-        statements.append(
-            Statement(
-                f"Over {scope.where} MuJoCo agrees with {which} throughout its {scope.duration:g} s for "
-                f"{names_text(throughout)}{_how(scope, runs)}."
-            )
-        )
-    for run in runs:
-        until = run.agreement.until
-        if run.agreement.agrees and until < math.inf:
-            text = (
-                f"Over {scope.where}, {as_name(run.controller.name)} agrees with {which} until {until:.3g} s of "
-                f"{scope.duration:g} s: {what_ended(run)}."
-            )
-            statements.append(Statement(text, "ends"))
+    which, statements = f"{scope.analysis}{built}", []
+    right = [run for run in runs if run.agreement.agrees]
+    linear = [run for run in right if run.prediction.is_linear]
+    if right:
+        names = names_text(run.controller.name for run in right)
+        text = f"Over {scope.where}, MuJoCo agrees with the vehicle's equations and the control laws for {names}."
+        statements.append(Statement(text))
+    if throughout := [run for run in linear if math.isinf(run.agreement.until)]:
+        off = at_most(max(signal.sampled for run in throughout for signal in run.agreement.signals.values()))
+        names = names_text(run.controller.name for run in throughout)
+        text = f"{which[0].upper()}{which[1:]} is within {off} of every peak throughout the {scope.duration:g} s for {names}."
+        statements.append(Statement(text))
+    for run in linear:
+        if (until := run.agreement.until) < math.inf:
+            text = f"For {as_name(run.controller.name)}, {which} applies until {until:.3g} s of {scope.duration:g} s"
+            statements.append(Statement(f"{text}: {what_ended(run)}.", "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
-        text = f"Over {scope.where} MuJoCo DOES NOT AGREE with {which} for {names_text(wrong)}."
+        text = f"Over {scope.where} MuJoCo DOES NOT AGREE for {names_text(wrong)}: see the lines on its runs."
         statements.append(Statement(text, "fails"))
-    unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
+    unbalanced = [run.controller.name for run in runs if run.energy is not None and run.energy.fails]
     if unbalanced:
         text = f"Over {scope.where} energy DOES NOT BALANCE{built} for {names_text(unbalanced)}: see the table of energy."
         statements.append(Statement(text, "fails"))
@@ -150,9 +147,9 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if not missing:
         return []
     text = (
-        f"Over {scope.where} adjustable dampers leave out, of the force that they are asked for (rms): "
+        f"Over {scope.where} semi-active dampers do not give this share (rms) of the requested force: "
         f"{joined([f'{share} with {as_name(name)}' for name, share in missing.items()])}. Norms, frequency responses and "
-        "margins are of the loop whose every force is given, and say nothing of these rides."
+        "margins assume that every force is given, so they do not describe these rides."
     )
     return [Statement(text, "ends" if most > HALF else "holds")]
 
@@ -163,17 +160,10 @@ def left_out(scope: Scope) -> list[Statement]:
     return [Statement(f"Not on this page, though in the vehicle file: {names_text(names)}.")] if names else []
 
 
-def _how(scope: Scope, runs: Sequence[Run]) -> str:
-    """Describes how closely the runs agree that agree throughout."""
-    some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
-    off = [signal.sampled for one in some for signal in one.signals.values() if math.isfinite(signal.sampled)]
-    return f", within {at_most(max(off))} of a peak" if off else ""
-
-
 def what_ended(run: Run) -> str:
-    """Describes the event that ended the comparison of a run."""
+    """Describes the event from which linear analysis does not apply to a run."""
     one = run.agreement
-    broken = "the states of the law run away" if run.physics.ran_away else "the run diverges"
+    broken = "the states of the law overflow" if run.physics.ran_away else "the run diverges"
     causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {broken: run.diverged}
     if one.lost:
         return NO_STATE
@@ -203,7 +193,7 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
 
 
 def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[str]:
-    """For whom no end of the analysis is claimed, though something breaks at some height: it is not true below, either."""
+    """Returns the controllers without a claimed height, because their runs do not agree over the road."""
     wrong = {run.controller.name for run in runs if not run.agreement.agrees}
     return [one.name for one, _ in ends if one.name in wrong]
 
@@ -215,7 +205,7 @@ def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | N
         return ""
     return (
         f"For {names_text(names)} no height is claimed below which the analysis is true: over {scope.where} MuJoCo "
-        "does not agree with it."
+        "does not agree."
     )
 
 
@@ -237,12 +227,12 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             )
             statements.append(Statement(text, "fails"))
         else:
-            height = (end.stays + end.leaves) / 2
+            height = end.found
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
             heights.append(f"{as_name(one.name)} {height:.3g} m ({end.end}{predicted})")
     comma = "," if scope.blurred else ""
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
-    which = scope.analysis if scope.vehicle.dampers else "the linear regime"
+    which = "the analysis with its semi-active dampers" if scope.vehicle.dampers else "the linear regime"
     text = (
         f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
         f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} "
@@ -250,7 +240,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     )
     if errors:
         text += (
-            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: "
+            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (WITHIN - 1):.2g} % or less on either side of each: "
             "below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )

@@ -73,15 +73,11 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     ]
     text += [f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run)]
     wrong = [run.controller.name for run in runs if not run.passed]
-    findings = (
-        [Statement(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {names_text(wrong)}.", "fails")]
-        if wrong
-        else []
-    )
+    findings = [Statement(f"Under the loads MuJoCo DOES NOT AGREE for {names_text(wrong)}.", "fails")] if wrong else []
     if not wrong:
         under = "Under" if scope.own_road is None else "On a flat road, under"
         agreed = names_text(run.controller.name for run in runs)
-        findings = [Statement(f"{under} {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
+        findings = [Statement(f"{under} {names} MuJoCo agrees for {agreed}: {_leaning(rows)}.")]
     pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
     table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)

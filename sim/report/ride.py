@@ -165,7 +165,7 @@ class OverRoads:
         length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
         self.roads = [Iso8608(name, seed, SPEED, width, length) for name in self.classes for seed in SEEDS]
         count = len(self.roads)
-        self.physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in self.roads], threads=0)
+        self.physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in self.roads])
         response = self.physics.response
         self.ended = np.minimum(self.physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
         meter = Meter([vehicle] * count, float(time[1]), round(start / timestep))

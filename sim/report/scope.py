@@ -23,6 +23,7 @@ from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
+COARSER = 2.5  # times the report's step, at most that of the map
 LEAST = 1e-4  # relative; a smaller change is below the digits that stand beside it
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
@@ -120,15 +121,12 @@ class Scope:
 
     @property
     def analysis(self) -> str:
-        """Describes the reference of MuJoCo."""
-        beyond = [
-            what for what, there in (("curves", self.vehicle.is_curved), ("adjustable dampers", self.vehicle.dampers)) if there
-        ]
-        return f"the analysis with its {joined(beyond)}" if beyond else "the linear analysis"
+        """Describes the analysis with which MuJoCo is compared."""
+        return "the analysis with its curves" if self.vehicle.is_curved else "linear analysis"
 
     @property
     def is_nonlinear(self) -> bool:
-        """Returns True if the reference of MuJoCo is more than a linear loop, and so tends to no continuous one."""
+        """Returns True if the sampled response does not tend to the linear continuous one: with curves or semi-active dampers."""
         return self.vehicle.is_curved or bool(self.vehicle.dampers)
 
     @property
@@ -214,14 +212,15 @@ class Scope:
 
     @property
     def map_timestep(self) -> float:
-        """The step of the map's many runs [s]: twice the report's, where the controller's sample period is a multiple of that."""
-        twice = 2 * self.timestep
+        """The step of the map's many runs [s]: about twice the report's, a part of the controller's sample period."""
+        period = self.vehicle.implementation.sample_period or 2 * self.timestep
+        step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
-            steps_per_sample(self.vehicle.implementation, twice)
-            sample_times(self.vehicle, BUMP_DURATION, twice)
+            steps_per_sample(self.vehicle.implementation, step)
+            sample_times(self.vehicle, BUMP_DURATION, step)
         except ValueError:
             return self.timestep
-        return twice
+        return step
 
 
 def file_stem(vehicle: Vehicle) -> str:

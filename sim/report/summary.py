@@ -1,4 +1,4 @@
-"""First screen of a report: what is required, and who is best at what; and the table of what may be trusted."""
+"""First screen of a report: requirements, comparison of controllers; and the table of claims and their checks."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -72,7 +72,7 @@ def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[st
 def trust_section(
     scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
 ) -> Section:
-    """Returns the section on what is claimed of every controller, and up to which bump that is true."""
+    """Returns the section on the claims about every controller, and up to which bump they are true."""
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     roughness, label, unit = _roughness(scope, runs, rides)
     wrong = unclaimed(ends, runs)
@@ -89,7 +89,7 @@ def trust_section(
         Column(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
         Column(f"over {scope.where}", lambda run: _verdict(scope, run)),
     )
-    caption = "What is claimed of each controller, what MuJoCo says, and up to which height of the bump the analysis is true."
+    caption = "Norm and prediction for each controller, MuJoCo's result, and the height of the bump up to which analysis is true."
     table = Table.of("summary", caption, columns, runs)
     return Section("Can these numbers be trusted?", "norm, prediction, physics", (), (table,))
 
@@ -148,7 +148,7 @@ def _metres(height: tuple[float, float]) -> str:
 
 def _height(end: RegimeEnd) -> tuple[float, float]:
     """Returns the height of the end of a linear regime, predicted and in MuJoCo [m]."""
-    return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
+    return end.predicted, end.found if end.confirmed else math.nan
 
 
 def _against(value: float, passive: float) -> str:
@@ -160,7 +160,7 @@ def _against(value: float, passive: float) -> str:
 
 
 def _verdict(scope: Scope, run: Run) -> str:
-    """Describes the agreement of physics and analysis in a few words."""
+    """Returns the verdict on a run in a few words."""
     until, linear = run.agreement.until, run.prediction.is_linear
     agrees = "agrees" if until == math.inf or not linear else f"agrees; linear until {until:.3g} s"
     unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""

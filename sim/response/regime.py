@@ -145,7 +145,7 @@ BUMP_STOP = End(
     "bump stop",
     "a suspension meets its bump stop",
     "bump stop",
-    "bump stop: a suspension is at the end of its stroke first at {when:.4g} s",
+    "bump stop: a suspension is first at the end of its stroke at {when:.4g} s",
     "#e8955a",
     ("Square", (255, 0, 200)),
     _at_the_stops,
@@ -154,7 +154,7 @@ SATURATION = End(
     "force saturation",
     "an actuator gives all its force",
     "actuator saturated",
-    "saturation: an actuator gives all its force first at {when:.4g} s",
+    "saturation: an actuator first gives its largest force at {when:.4g} s",
     "#c9a3d9",
     ("Diamond", (0, 220, 220)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.actuator_force),
@@ -172,7 +172,7 @@ CURVE = End(
     "curve",
     "a damper or spring leaves the line of its curve at rest",
     "curve left",
-    f"curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest first at {{when:.4g}} s",
+    f"curve: a damper or spring first leaves its linearisation by {100 * LEAVES:g} % of its largest force at {{when:.4g}} s",
     "#a3b86c",
     ("Asterisk", (150, 255, 60)),
     _off_the_line,
@@ -182,7 +182,7 @@ DAMPER = End(
     "damper",
     "an adjustable damper does not give the force",
     "damper at its end",
-    "damper: an adjustable damper first does not give the force that is asked of it at {when:.4g} s; no linear claim from there",
+    "damper: a semi-active damper first cannot give the requested force at {when:.4g} s",
     "#8fbf7f",
     ("Circle", (120, 255, 120)),
     lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.adjustable],
@@ -191,11 +191,12 @@ DAMPER = End(
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
 DEMAND_CLIPPED = (
-    "saturation: a lagging actuator is asked for more than its force first at {when:.4g} s; anti-windup acts from there"
+    "saturation: the command of a lagging actuator first exceeds its largest force at {when:.4g} s; anti-windup acts from then on"
 )
+COMMAND_LIMITED = "saturation: a command is first beyond the largest force at {when:.4g} s, and is limited before the lag"
 DIVERGENCE = "divergence"
 LAW_OVERFLOW = "law overflow"
-RAN_AWAY = "the law's own states ran away, and from {when:.4g} s on it asks for no finite force"
+RAN_AWAY = "the states of the law overflow; from {when:.4g} s on, it requests no finite force"
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
@@ -205,7 +206,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
         anti_windup: True if clipped demands of its actuators end the linear regime, see `EndDetector`.
     """
     columns, times = [], response.time
-    way = _way(vehicle, float(times[1] - times[0]), predicted=True) if anti_windup and len(times) > 1 else 0.0
+    way = _way(vehicle, float(times[1] - times[0]), True, anti_windup) if len(times) > 1 else 0.0
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
         for limit in end.thresholds(vehicle):
@@ -218,8 +219,13 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
     return np.stack(columns, axis=-1)
 
 
-def _way(vehicle: Vehicle, timestep: float, predicted: bool) -> float:
-    """Returns the share of the way to its command that a lagging force goes in a step, exactly or as RK4; 0 without a lag."""
+def _way(vehicle: Vehicle, timestep: float, predicted: bool, anti_windup: bool) -> float:
+    """Returns the share of the way to its command that a lagging force goes in a step, exactly or as RK4.
+
+    It is 0 without a lag, and where commands beyond the largest force change nothing before the force reaches it.
+    """
+    if not (anti_windup or vehicle.limits.limits_commands):
+        return 0.0
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     return float(-np.expm1(-z)) if predicted else z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
 
@@ -233,8 +239,9 @@ class EndDetector:
 
     A tyre that damps leaves the road where its whole force ends, by its equivalent deflection (`models/kinds/strut_and_tyre.py`).
 
-    Anti-windup acts from the first sample at which the demand on an actuator is clipped. Behind a lag that is before the force
-    reaches its limit. The demand follows from the forces at both ends of a step, and its clipping counts as saturation.
+    Anti-windup acts from the first sample at which the demand on an actuator is clipped, and so does a limit of commands. Behind
+    a lag that is before the force reaches its limit. The demand follows from the forces at both ends of a step, and its clipping
+    counts as saturation.
 
     Attributes:
         times: first time of each end [s], shape (N, E), or infinity.
@@ -255,7 +262,7 @@ class EndDetector:
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         h = float(time[1] - time[0]) if len(time) > 1 else 0.0
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
-        self.way = np.array([_way(one, h, predicted) if flag else 0.0 for one, flag in zip(vehicles, flags, strict=True)])
+        self.way = np.array([_way(one, h, predicted, flag) for one, flag in zip(vehicles, flags, strict=True)])
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
         names = [signal.name for signal in vehicles[0].kind.signals]
@@ -326,7 +333,7 @@ class EndDetector:
 
     @np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
     def _demands(self, signal: int, values: Array) -> Array:
-        """Returns the forces requested from lagging actuators of laws with anti-windup [N], without the last sample; else 0."""
+        """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipping does not count."""
         forces = values[:, signal]
         forces = np.concatenate([self.forces[signal], forces]) if signal in self.forces else forces
         self.forces[signal] = forces[-1:].copy()

@@ -1,7 +1,7 @@
 """Responses: named signals over time, for one run or many, by the linear analysis or by physics."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ class Response(Shown):
         time: sample times [s], shape (T,).
         signals: S signals of the last axis of `values`, each with its unit.
         values: shape (..., T, S); leading axes are runs.
+        before: values just before the decisions of adjustable dampers, by name of the signals that jump there, shape (..., T).
 
     Raises:
         InputError: the shapes do not fit.
@@ -38,6 +39,7 @@ class Response(Shown):
     time: Array
     signals: tuple[Signal, ...]
     values: Array
+    before: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -81,23 +83,29 @@ class Response(Shown):
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
             raise InputError(f"index = {index} is not a run of values of shape {self.values.shape}; give one of its first axis")
-        return Response(self.time, self.signals, self.values[index])
+        before = {name: values[index] for name, values in self.before.items()}
+        return Response(self.time, self.signals, self.values[index], before)
 
     def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":
         """Returns the response with more signals after its own, values of shape (..., T, k), or itself if there are none."""
         if not signals:
             return self
-        return Response(self.time, (*self.signals, *signals), np.concatenate([self.values, values], axis=-1))
+        return replace(self, signals=(*self.signals, *signals), values=np.concatenate([self.values, values], axis=-1))
 
     def only(self, names: Sequence[str]) -> "Response":
         """Returns the response with some of its signals."""
         columns = [self._column(name) for name in names]
-        return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns])
+        before = {name: self.before[name] for name in names if name in self.before}
+        return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns], before)
 
     def until(self, time: float) -> "Response":
         """Returns the samples before a time [s]."""
-        count = int(np.searchsorted(self.time, time))
-        return Response(self.time[:count], self.signals, self.values[..., :count, :])
+        return self.samples(slice(int(np.searchsorted(self.time, time))))
+
+    def samples(self, which: slice | Array) -> "Response":
+        """Returns some of the samples, by a slice or a mask."""
+        before = {name: values[..., which] for name, values in self.before.items()}
+        return Response(self.time[which], self.signals, self.values[..., which, :], before)
 
     @property
     def diverged(self) -> float:
@@ -111,13 +119,18 @@ class Response(Shown):
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Array:
-        """Returns the largest magnitude of a signal, shape (...,), NaN if a run broke off (see `sim.physics.simulate`)."""
+        """Returns the largest magnitude of a signal, on both sides of its jumps, shape (...,); NaN if a run broke off (see
+        `sim.physics.simulate`).
+        """
         return self._peaks[..., self._column(signal)]
 
     @cached_property
     def _peaks(self) -> Array:
         """Returns the peaks of all signals, shape (..., S), cached: `scale` needs them often."""
-        return np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
+        peaks = np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
+        for name, values in self.before.items():
+            peaks[..., self._column(name)] = np.maximum(peaks[..., self._column(name)], np.abs(values).max(axis=-1))
+        return peaks
 
     def scale(self, signal: str) -> float:
         """Returns the scale of a single run's differences in a signal: its peak.
@@ -130,8 +143,9 @@ class Response(Shown):
         return max(float(self.peak(signal)), SILENT * loudest)
 
     def rms(self, signal: str) -> Array:
-        """Returns the root mean square of a signal over the whole response, shape (...,)."""
-        return np.sqrt(np.mean(self[signal] ** 2, axis=-1))
+        """Returns the root mean square of a signal over the whole response, of both sides of its jumps, shape (...,)."""
+        after = self[signal] ** 2
+        return np.sqrt(np.mean((after + self.before[signal] ** 2) / 2 if signal in self.before else after, axis=-1))
 
     def to_pandas(self) -> "pd.DataFrame":
         """Returns one run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.

@@ -39,6 +39,7 @@ from synth.controller.controller import Controller, has_anti_windup
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
 SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
+NO_REFERENCE = "no linear reference"
 SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
 
 
@@ -110,13 +111,15 @@ class Agreement(Shown):
     def verdict(self) -> str:
         """The verdict on physics, and the time until which linear analysis applies, in words."""
         when = f"until {self.until:.4g} s" if math.isfinite(self.until) else "throughout"
-        return f"agrees; linear analysis applies {when}" if self.agrees else "DOES NOT AGREE"
+        unknown = all(math.isnan(signal.sampled) for signal in self.signals.values())
+        applies = NO_REFERENCE if unknown else f"linear analysis applies {when}"
+        return f"agrees; {applies}" if self.agrees else "DOES NOT AGREE"
 
     @property
     def agrees(self) -> bool:
         """Returns True if every step and every command is right, as far as they are known, and nothing contradicts them."""
         coded = self.code_effect is None or self.code_effect.holds
-        checked = self.steps is not None or self.until > 0
+        checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
         return checked and self.step_by_step and self.commanded and coded and self.follows_linear
 
     @property
@@ -144,8 +147,8 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     """Returns the verdict on one run of MuJoCo.
 
     Args:
-        prediction: its linear responses.
-        commanded: what its controller measured and commanded; None if that is unknown, which leaves linear analysis alone.
+        prediction: linear responses of the run.
+        commanded: measurements and commands of its controller; None if they are unknown, which leaves linear analysis alone.
     """
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
@@ -202,7 +205,7 @@ def to_first_order(agreement: Agreement, prediction: Prediction, physics: Respon
     """Adds the differences at `SMALL` of the road's height, for a vehicle type that rotates without equations of motion.
 
     Args:
-        prediction: of the run over the whole road, to which the linear responses are proportional.
+        prediction: prediction of the run over the whole road, to which the linear responses are proportional.
         physics: response of MuJoCo over `SMALL` of it.
     """
     whole = (prediction.sampled, prediction.integrated)

@@ -1,7 +1,7 @@
 """Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
 
-Linear analysis predicts the law. So the run with the law is compared with analysis, and the run with the code with that run. The
-comparison of the code's own run with analysis allows for the measured difference, which must be small.
+The run with the law must agree, and the code may move no signal of it by more than `MOST` of its peak. That every command of the
+run is that of the code is a check of its own (`sim.runs.commands`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Driver, code_of
 
-MOST = 1e-2  # of a peak; code that moves a signal by more is not the law that linear analysis predicts
+MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +26,9 @@ class CodeEffect:
     Attributes:
         numbers: numbers of the code, see `ExportedLaw`.
         apart: difference of each output signal at every sample until either run diverges, by name.
-        share: largest difference of any signal over its scale, while the comparison with analysis applies.
+        share: largest difference of any signal over its scale, while linear analysis applies.
         signal: name of that signal.
-        law_agrees: True if the run with the law itself agrees with analysis.
+        law_agrees: True if the run with the law itself agrees.
         clipped: readings that leave their range in fixed point, where the code clips them.
     """
 
@@ -41,7 +41,7 @@ class CodeEffect:
 
     @property
     def holds(self) -> bool:
-        """Returns True if the law's run agrees with analysis, and the code's run with that of the law."""
+        """Returns True if the law's run agrees, and the code's run is close to that of the law."""
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
@@ -55,7 +55,7 @@ class CodeEffect:
     @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""
-        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree with linear analysis"]
+        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree"]
         if self.share > MOST:
             lines.append(
                 f"DOES NOT AGREE: the code moves {self.signal} by {self.share:.1e} of its peak, where {MOST:g} is allowed; "
@@ -73,7 +73,7 @@ def code_effect(
         driver: the controller that the code drives.
         physics, law_physics: the run with the code, and the run with the law itself.
         names: output signals.
-        until: time before which the run with the law is compared with analysis [s].
+        until: time before which linear analysis applies to the run with the law [s].
         law_agrees: True if that run agrees.
     """
     law, end = code_of(driver).law, min(physics.diverged, law_physics.diverged)
@@ -103,7 +103,7 @@ def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
     if effect.clipped:
         return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
     if not any(map(effect.peak, effect.apart)):
-        return f"{line}; its run is that of the law, to the last bit"
+        return f"{line}; its run equals that of the law bit for bit"
     force = max(vehicle.linear_model.inputs, key=effect.peak)
     return (
         f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "

@@ -109,8 +109,9 @@ def compare_commands(controller: Law, road: RoadInput, physics: Response, comman
     result = _worst([*readings, *answer()], vehicle)
     if result.agrees or not controller.serial:
         return result
-    once, twice = answer(), answer()
-    if any(np.any(a[2] != b[2]) for a, b in zip(once, twice, strict=True)):
+    once = answer()
+    _again(controller, road, replace(samples, due=due[: len(due) // 2]))  # a law that does not forget its last run now differs
+    if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
         return replace(_worst(readings, vehicle), repeatable=False)
     return result
 
@@ -241,7 +242,7 @@ def _again(controller: Law, road: RoadInput, samples: _Samples) -> Array:
             y = np.concatenate([y, samples.closing[i : i + 1]], axis=1)
         request, state = driver.step(k, y, ahead, state)
         requests.append(request[0])
-    requested = np.array(requests)
+    requested = np.array(requests).reshape(len(requests), -1) if requests else np.zeros((0, 0))
     if not vehicle.dampers or driver.requests == "commands":
         return requested
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)

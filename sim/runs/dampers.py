@@ -67,10 +67,10 @@ def damper_lines(vehicle: Vehicle, physics: Response) -> list[str]:
     names, lines = {one.force: one.coefficient for one in vehicle.adjustable}, []
     for force, one in shortfalls(vehicle, physics).items():
         if one.late:
-            lines.append(f"with its valve's lag {names[force]} leaves out {percent(one.late)} (rms) of the force asked of it")
+            lines.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
         if one.time:
             lines.append(
-                f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; of the force asked of it, "
-                f"{percent(one.rms)} (rms) cannot be given, at {percent(one.time)} of the samples"
+                f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; it cannot give {percent(one.rms)} (rms) "
+                f"of the requested force, at {percent(one.time)} of the samples"
             )
     return lines

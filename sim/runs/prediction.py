@@ -32,7 +32,7 @@ class Prediction:
 
     Attributes:
         input: the vehicle, with the limits and implementation of this run, and its road.
-        controller: its controller.
+        controller: controller of the run.
         sampled: exact response of the sampled loop: linear, except for characteristics. NaN if a law switches adjustable dampers,
             which is not linear.
         integrated: the same as RK4 makes it.

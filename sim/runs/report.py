@@ -16,6 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import (
     BUMP_STOP,
+    COMMAND_LIMITED,
     CURVE,
     DEMAND_CLIPPED,
     FLAT,
@@ -27,7 +28,7 @@ from sim.response.regime import (
     broken_by,
     departures,
 )
-from sim.runs.agreement import COARSEST, SMALL, Agreement
+from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL, Agreement
 from sim.runs.code_effect import code_object
 from sim.runs.commands import CommandAgreement
 from sim.runs.run import Reference, Run
@@ -55,7 +56,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
     numbers = {
         name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
     }
-    return numbers | {"balances": energy.balances}
+    return numbers | {"balances": energy.balances if energy.judged else None}
 
 
 def energy_lines(run: Run) -> list[str]:
@@ -64,21 +65,23 @@ def energy_lines(run: Run) -> list[str]:
     if energy is None:
         return []
     of = f"{energy.residual:.1e} of the {energy.turnover:.4g} J turned over"
-    if energy.least is not None and energy.least < 0 and not energy.balances:
-        return [f"energy DOES NOT BALANCE: an adjustable damper gave energy, {-energy.least:.1e} of the most that it took"]
+    if energy.least is not None and energy.least < 0 and energy.fails:
+        return [f"energy DOES NOT BALANCE: a semi-active damper supplied energy, {-energy.least:.1e} of the most that it took"]
     if energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
-        return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
+        return [f"energy balances: the work of {sources} is stored or dissipated, except {of}"]
+    if not energy.judged:
+        return [f"energy is not evaluated, because the timestep is too coarse: {of} is neither stored nor dissipated"]
     if run.physics.ran_away:
-        return [f"energy is not judged: {of} is neither stored nor dissipated, with forces that the overflowing law throws about"]
-    why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
-    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {energy.allowed:.0e} is allowed: {why}"]
+        return [f"energy is not evaluated, because the law overflows: {of} is neither stored nor dissipated"]
+    why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
+    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, allowed {energy.allowed:.0e}: {why}"]
 
 
 NO_CLAIM = "no linear claim: {kind}"
-NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
+NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets semi-active dampers"
 LOST = "beyond its equations"
-NO_STATE = "a strut has no length left, or the body lies over"
+NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with a line of their own; from more on, the answer would not fit a terminal
 WHEN = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 MOST_FLIGHTS = 4  # flights of a run that are listed one by one
@@ -109,11 +112,11 @@ def run_object(run: Run) -> dict[str, Any]:
         "steps": steps_object(agreement.steps),
         "commands": commands_object(agreement.commands),
         "cause": agreement.cause,
-        **_stops_object(run),
-        **_dampers_object(run),
+        **_parts_object(run),
         **code_object(run.prediction.code_effect),
-        **_margins_object(run),
-    } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+        **({"margins": law_margins(run.vehicle, run.controller).record} if isinstance(run.controller, Controller) else {}),
+        **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
+    }
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
@@ -131,35 +134,18 @@ def commands_object(commands: CommandAgreement | None) -> dict[str, float | bool
     return {"agrees": commands.agrees, "repeatable": commands.repeatable, **numbers}
 
 
-def _margins_object(run: Run) -> dict[str, Any]:
-    """Returns the windup and the small margins of a linear law as a JSON object; empty for any other driver."""
-    one = run.controller
-    return {"margins": law_margins(run.vehicle, one).record} if isinstance(one, Controller) else {}
+def _parts_object(run: Run) -> dict[str, Any]:
+    """Returns the results of bump stops and semi-active dampers, each under its own key; empty without such parts."""
+    parts = {}
+    if run.vehicle.limits.stopped:
+        from sim.runs.stops import stops_object
 
+        parts["stops"] = stops_object(run)
+    if run.vehicle.dampers:
+        from sim.runs.dampers import dampers_object
 
-def _stops_object(run: Run) -> dict[str, Any]:
-    """Returns how far each bump stop is compressed under their own key; empty without stops."""
-    if not run.vehicle.limits.stopped:
-        return {}
-    from sim.runs.stops import stops_object
-
-    return {"stops": stops_object(run)}
-
-
-def _stop_names(run: Run, when: float) -> str:
-    """Returns the name of the stops that a run reaches at a time [s]."""
-    from sim.runs.stops import stop_names
-
-    return stop_names(run, when)
-
-
-def _dampers_object(run: Run) -> dict[str, Any]:
-    """Returns the results of adjustable dampers under their own key; empty without such dampers."""
-    if not run.vehicle.dampers:
-        return {}
-    from sim.runs.dampers import dampers_object
-
-    return {"dampers": dampers_object(run.vehicle, run.physics)}
+        parts["dampers"] = dampers_object(run.vehicle, run.physics)
+    return parts
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
@@ -209,7 +195,7 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
     if isinstance(controller, SemiActive):
         return [NO_CLAIM_OF_SWITCHING]
     if not isinstance(controller, Controller):
-        forced = ["sampled and continuous are the linear vehicle's under the forces that the law requested"]
+        forced = ["sampled and continuous are the linear responses to the forces that the law requested"]
         return [NO_CLAIM.format(kind=controller.kind), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
@@ -234,7 +220,7 @@ def verdict(run: Run) -> str:
     """Returns the verdict on physics, the range of linear analysis, and the energy balance, in a few words."""
     agreement, words = run.agreement, []
     if run.physics.ran_away and not run.passed:
-        return f"LAW OVERFLOW at {run.diverged:.4g} s: rounding decides the forces of this law; the physics is not judged"
+        return f"LAW OVERFLOW at {run.diverged:.4g} s: rounding decides the forces of this law; the run is not evaluated"
     if not agreement.step_by_step and agreement.steps is not None:
         words.append(f"DOES NOT AGREE step by step from {agreement.steps.since:.4g} s on ({agreement.steps.signal})")
     if not agreement.commanded and agreement.commands is not None:
@@ -246,26 +232,16 @@ def verdict(run: Run) -> str:
     if not words and not agreement.agrees:
         words.append("NOTHING COMPARED")
     if not words:
-        words += ["agrees", _linear_range(run)]
-    if agreement.coarse:
+        words += ["agrees", f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE]
+    if agreement.coarse or (run.energy is not None and not run.energy.judged):
         words.append("the timestep is too coarse for accurate numbers")
     if run.energy is not None:
-        words.append(f"energy {_balance(run.energy)}")
-    if run.physics.ran_away and run.diverged > agreement.until:
+        words.append(f"energy {run.energy.verdict}")
+    if run.broke_off is not None and not run.prediction.is_linear:
+        words.append("{} at {:.4g} s".format(*run.broke_off))
+    elif run.physics.ran_away and run.diverged > agreement.until:
         words.append(f"{LAW_OVERFLOW} at {run.diverged:.4g} s")
     return "; ".join(words)
-
-
-def _balance(energy: Energy) -> str:
-    """Returns whether energy balances, in words."""
-    return "balances" if energy.balances else "DOES NOT BALANCE"
-
-
-def _linear_range(run: Run) -> str:
-    """Returns how long linear analysis applies, in words."""
-    if not run.prediction.is_linear:
-        return "no linear reference"
-    return f"linear analysis applies {_when(run)}"
 
 
 def _when(run: Run) -> str:
@@ -274,7 +250,10 @@ def _when(run: Run) -> str:
     if not math.isfinite(agreement.until):
         return "throughout"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
-    ended = [_stop_names(run, agreement.until) if name == BUMP_STOP.name else name for name in ended]
+    if BUMP_STOP.name in ended:
+        from sim.runs.stops import stop_names
+
+        ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {agreement.until:.4g} s ({' and '.join(ended or [other])})"
 
@@ -332,90 +311,92 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
-    """Returns the times at which tyres are off the road, or, if they are many, their number and total duration."""
+    """Returns the times at which tyres are off the road, or, if they are many, their number and the longest."""
+    spans = [f"from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" for start, end in lift_off]
     if len(lift_off) > MOST_FLIGHTS:
         longest = max(end - start for start, end in lift_off)
-        start, end = lift_off[0]
-        return [
-            f"lift-off: {len(lift_off)} times a tyre is off the road, first from {start:.4g} s to {end:.4g} s "
-            f"({end - start:.3g} s), for {longest:.3g} s at most"
-        ]
-    return [
-        f"lift-off: a tyre is off the road from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" for start, end in lift_off
-    ]
+        return [f"lift-off: a tyre leaves the road {len(lift_off)} times, first {spans[0]}; the longest takes {longest:.3g} s"]
+    return [f"lift-off: a tyre is off the road {span}" for span in spans]
 
 
 def verdict_lines(run: Run) -> list[str]:
-    """Returns the verdict on physics against analysis in sentences."""
-    agreement, lines = run.agreement, list[str]()
-    if run.prediction.radius > 1:
-        lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
-    elif run.prediction.radius == 1:
-        lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
+    """Returns the events of a run, its two checks, and its distance from linear analysis, a sentence each."""
+    if run.physics.ran_away and not run.passed:  # rounding decides the forces of the law
+        return _event_lines(run)
+    return [*_event_lines(run), *_check_lines(run), *_linear_lines(run)]
+
+
+def _event_lines(run: Run) -> list[str]:
+    """Returns sentences on what happens in a run: instability, lift-offs, limits."""
+    agreement, lines, radius, vehicle = run.agreement, list[str](), run.prediction.radius, run.vehicle
+    if radius > 1:
+        lines.append(f"unstable: the sampled loop grows by a factor of {radius:.6g} every step")
+    elif radius == 1:
+        lines.append("marginal: a mode of the sampled loop neither grows nor decays, to rounding")
     if run.physics.ran_away:
         lines.append(f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=run.diverged)}")
     elif math.isfinite(run.diverged):
-        lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
+        lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s")
     lines += _flights(agreement.lift_off)
-    if run.half_step is not None and math.isfinite(run.half_step.difference):
+    if run.half_step is not None:
         size, signal = run.half_step.difference, run.half_step.signal
-        lines.append(
-            f"after lift-off the physics is good to about {size:.1e} of a peak: half the step changes {signal} by so much"
-        )
-    elif run.half_step is not None:
-        lines.append("after lift-off the physics is good for nothing: at half the step it diverges")
+        change = f"{signal} changes by {size:.1e} of its peak" if math.isfinite(size) else "the run diverges"
+        lines.append(f"accuracy after the lift-off: at half the timestep, {change}")
+    elif agreement.lift_off and run.prediction.is_blurred and run.broke_off is None:
+        lines.append(f"accuracy after the lift-off: unknown, as {vehicle.implementation.noise_text} differs at half the timestep")
     times = agreement.ended
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
-    if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
+    if vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
         said[SATURATION] = DEMAND_CLIPPED
-    if math.isfinite(when := times[BUMP_STOP.name]):
-        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, _stop_names(run, when), 1)
-    lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
-    if run.vehicle.limits.stopped:
-        from sim.runs.stops import run_stop_lines
+    elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
+        said[SATURATION] = COMMAND_LIMITED
+    stops: list[str] = []
+    if vehicle.limits.stopped:
+        from sim.runs.stops import run_stop_lines, stop_names
 
-        lines += run_stop_lines(run)
-    left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
-    lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
-    if run.vehicle.dampers:
+        stops = run_stop_lines(run)
+        if math.isfinite(when := times[BUMP_STOP.name]):
+            said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
+    lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
+    lines += stops
+    left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
+    lines += [f"{name} differs from its linearisation by up to {percent(one)} of its largest force" for name, one in left.items()]
+    if vehicle.dampers:
         from sim.runs.dampers import damper_lines
 
-        lines += damper_lines(run.vehicle, run.physics)
+        lines += damper_lines(vehicle, run.physics)
     if times[FLAT.name] == agreement.until < math.inf:
-        lines.append(
-            f"flat: a tyre is compressed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
-            "no model of it holds from there"
-        )
+        when = f"{agreement.until:.4g} s; no later step is compared"
+        lines.append(f"flat: a tyre is compressed by more than {MOST_SQUEEZE} m at {when}")
     if agreement.lost:
-        lines.append(f"{LOST}: from {agreement.until:.4g} s on {NO_STATE}; what MuJoCo does there is compared with nothing")
-    return [*lines, *_check_lines(run), *_linear_lines(run)]
+        lines.append(f"{LOST}: from {agreement.until:.4g} s on, {NO_STATE}; no later step is compared")
+    return lines
 
 
 def _check_lines(run: Run) -> list[str]:
     """Returns a sentence on each of the two checks: steps against equations, and commands against the control law."""
     agreement, lines = run.agreement, []
-    steps, commands = agreement.steps, agreement.commands
+    steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
     if steps is None:
-        lines.append(
-            "no step is compared: this vehicle type has no equations of motion (`motion`)"
-            + (f"; it is compared to first order, at {SMALL:g} of this road's height" if _first_order(agreement) else "")
-        )
+        first_order = "; the run is compared to first order" if _first_order(agreement) else ""
+        lines.append(f"no step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
     elif steps.until > 0:
-        numbers = f"largest difference {steps.error:.1e} of a peak ({steps.signal}), {steps.allowed:.0e} is allowed"
-        verb = "equals" if steps.agrees else f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step equals"
-        what = "one RK4 step of the vehicle's nonlinear equations from the same state"
-        lines.append(f"{'every MuJoCo step ' * steps.agrees}{verb} {what} {_end(steps)}: {numbers}")
+        verb = "every MuJoCo step" if steps.agrees else f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step"
+        end = f", until {steps.until:.4g} s" if math.isfinite(steps.until) else ""
+        what = f"equals one RK4 step of the vehicle's equations of motion from the same state{end}"
+        lines.append(f"{verb} {what}: {_largest(steps)}")
     if commands is not None and not commands.repeatable:
-        lines.append(
-            "the control law is not repeatable: started again on the same measurements, it answers differently each time"
-        )
+        lines.append("no command is compared: the control law is not repeatable, as its answers to the same measurements differ")
     elif commands is not None:
-        numbers = f"largest difference {commands.error:.1e} of a peak ({commands.signal}), {commands.allowed:.0e} is allowed"
-        verb = "every command equals" if commands.agrees else "COMMANDS ARE NOT THE LAW'S: not every command equals"
-        lines.append(f"{verb} the control law evaluated on the run's measurements: {numbers}")
-    if agreement.code_effect is not None:
-        lines += agreement.code_effect.failures
-    return lines
+        verb = "every command" if commands.agrees else "COMMANDS ARE NOT THE LAW'S: not every command"
+        lines.append(f"{verb} equals the control law evaluated on the run's measurements: {_largest(commands)}")
+    return lines + (code.failures if code is not None else [])
+
+
+def _largest(one: StepAgreement | CommandAgreement) -> str:
+    """Returns the largest error of a check, in words."""
+    error = f"{one.error:.1e}" if one.error else "0"
+    return f"largest error {error} of a peak ({one.signal}), allowed {one.allowed:.0e}"
 
 
 def _first_order(agreement: Agreement) -> bool:
@@ -425,44 +406,27 @@ def _first_order(agreement: Agreement) -> bool:
 
 def _linear_lines(run: Run) -> list[str]:
     """Returns sentences on the distance from linear analysis, and its cause."""
-    agreement = run.agreement
+    agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
-        return ["there is no linear reference: the controller adjusts dampers, which is not linear at any amplitude"]
+        return [f"{NO_REFERENCE}: setting semi-active dampers is not linear, even at small amplitudes"]
     if agreement.until <= 0:
-        return [f"linear analysis does not apply: {_when(run)}"]
-    lines = []
-    if math.isfinite(agreement.until):
-        known = agreement.lost or agreement.until in (*agreement.ended.values(), run.diverged)
-        why = "" if known else ": within a step, a tyre may leave the road there"
-        lines.append(f"linear analysis does not apply from {agreement.until:.4g} s on{why}")
-    size = {name: signal.sampled for name, signal in agreement.signals.items()}
-    worst = max(size, key=lambda name: size[name])
-    wrong = [name for name, signal in agreement.signals.items() if not signal.agrees]
-    if wrong:
-        worst = max(wrong, key=lambda name: agreement.signals[name].excess)
-    signal, when = agreement.signals[worst], f"until {agreement.until:.4g} s" if math.isfinite(agreement.until) else "throughout"
-    numbers = f"{signal.sampled:.1e} of a peak ({worst}) {when}"
+        return [f"linear analysis applies {_when(run)}: nothing is compared with it"]
+    wrong = [name for name, signal in signals.items() if not signal.agrees]
+    worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
+    signal = signals[worst]
+    what = "the exact linear response to the forces of the law" if isinstance(run.controller, Programmed) else "linear analysis"
+    small = ""
     if signal.small is not None:
-        numbers += f", and {signal.small:.1e} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
+        small = f", and {signal.small:.1e} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
     if wrong:
-        lines.append(f"DOES NOT AGREE with {_reference(run)}: {numbers}, where {signal.allowed:.1e} is allowed")
+        size = f"{signal.sampled:.1e} of a peak{small} ({worst}), allowed {signal.allowed:.1e}"
+        lines = [f"DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}"]
     else:
-        lines.append(f"MuJoCo is within {numbers} of {_reference(run)}; the cause is {agreement.cause}")
+        size = f"{signal.sampled:.1e} of every peak{small} {_when(run)}"
+        lines = [f"{what} is within {size}; the cause is {agreement.cause} (worst: {worst})"]
     if agreement.coarse:
-        lines.append(f"the timestep is too coarse: RK4's own error is more than {COARSEST:g} of a peak; give a smaller one")
+        lines.append(f"the timestep is too coarse: RK4's own error is more than {percent(COARSEST)} of a peak; use a smaller one")
     return lines
-
-
-def _end(steps: StepAgreement) -> str:
-    """Returns the time until which single steps are compared, in words."""
-    return f"until {steps.until:.4g} s" if math.isfinite(steps.until) else "throughout"
-
-
-def _reference(run: Run) -> str:
-    """Describes the reference of the physics."""
-    if isinstance(run.controller, Programmed):
-        return "the exact linear response to the forces of the law"
-    return "the exact sampled response"
 
 
 @np.errstate(over="ignore")

@@ -45,7 +45,7 @@ class ShownRun(Shown):
         """Returns the verdict, and the vehicle, road and times as text."""
         verdict = self.agreement.verdict
         if self.energy is not None:
-            verdict += f"; energy {'balances' if self.energy.balances else 'DOES NOT BALANCE'}"
+            verdict += f"; energy {self.energy.verdict}"
         time = self.physics.time
         return f"run of {self.prediction.controller.name}: {verdict}", {
             "vehicle": self.prediction.vehicle.kind.name,
@@ -183,8 +183,8 @@ class Run(ShownRun):
 
     @property
     def passed(self) -> bool:
-        """Returns True if physics agrees with its analysis, and its energy balances, if that is known."""
-        return self.agrees and (self.energy is None or self.energy.balances)
+        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
+        return self.agrees and (self.energy is None or not self.energy.fails)
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -276,7 +276,7 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
     equations of motion with a run at a share of its road's height. These runs are made here.
 
     Args:
-        predictions: over the same sample times, of vehicles of the same kind.
+        predictions: predictions over the same sample times, for vehicles of the same type.
         physics: the runs.
     """
     predictions = _with_code_effects(predictions, physics)
@@ -318,10 +318,10 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) 
 def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
-    A run that leaves more energy over than is usual is driven at half the step, too.
+    A run that leaves more energy over than is usual is driven at half the step, too. A noisy run then repeats its commands.
 
     Args:
-        runs: over the same sample times, of vehicles of the same kind.
+        runs: runs over the same sample times, with vehicles of the same type.
         physics: the same runs with their states.
     """
     runs = [
@@ -329,9 +329,10 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not _has_noise(run)]
-    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful and not _has_noise(run)]
+    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful]
     if halved := sorted({*lifted, *doubtful}):
-        again, timestep = [runs[i].prediction for i in halved], runs[0].prediction.timestep
+        timestep = runs[0].prediction.timestep
+        again = [replace(runs[i].prediction, requested_force=physics.requested_force[i]) for i in halved]
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
         finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
@@ -345,8 +346,8 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
 
 
 def _has_noise(run: Run) -> bool:
-    """Returns True if measurements are noisy or quantised, or exported code rounds, which differs at other steps."""
-    return run.vehicle.implementation.has_measurement_noise or bool(run.prediction.rounding_text)
+    """Returns True if its controller measures with noise or quantisation, or its code rounds, which differs at other steps."""
+    return run.prediction.is_blurred or bool(run.prediction.rounding_text)
 
 
 def _simulated(
@@ -354,8 +355,8 @@ def _simulated(
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    Vehicles and roads that runs share remain shared. A law in Python is not run again: its commands are replayed. Over a share of
-    the road, so is that share of its forces.
+    Vehicles and roads that runs share remain shared. The commands of a law in Python, or of a noisy run, are replayed. Over a
+    share of the road, that share of the forces is replayed.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -364,13 +365,14 @@ def _simulated(
 
 
 def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
-    """Returns the driver that repeats a run.
+    """Returns the driver that repeats a run: its law, or its commands if a noisy law would answer differently at another step.
 
     Args:
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: factor on the forces of a law in Python.
     """
-    if not isinstance(prediction.controller, Programmed):
+    noisy = prediction.is_blurred or bool(prediction.rounding_text)
+    if not isinstance(prediction.controller, Programmed) and (share != 1 or not noisy):
         return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
     from sim.physics.driver import RecordedForces

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import MOST_ASKED, has_geometry
+from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.linear_motion import LinearMotion, suspension_pulls
 from sim.linear.sampled_response import roundings
@@ -91,7 +91,7 @@ def compare_steps(
     """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        commanded: what the controller measured and commanded.
+        commanded: measurements and commands of the controller.
         rounding: rounding error of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = from_steady(road, physics.until(until))
@@ -170,8 +170,7 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    ran = Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1])
-    stages = _given(vehicle, ran, commands, h)
+    stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
     return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages)
 
@@ -248,9 +247,8 @@ def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
 
 def _given(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each."""
-    inputs, limits = vehicle.linear_model.inputs, vehicle.limits
+    inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
     demand, z = commands[: len(physics.time), : len(inputs)], _lags(vehicle) * h
-    most, asked = limits.actuator_force or np.inf, MOST_ASKED if limits.actuator_force else np.inf
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     now = lagging(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
     return [np.where(pushing, np.clip(stage, -most, most), stage) for stage in lag_stages(now, z)]

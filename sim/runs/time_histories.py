@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def _trace(run: Run, name: str, bounded: bool, continuous: bool, start: float, e
 def _between(response: Response, start: float, end: float) -> Response:
     """Returns the samples of one run between two times [s]."""
     some = (response.time >= start) & (response.time <= end)
-    return response if some.all() else replace(response, time=response.time[some], values=response.values[some])
+    return response if some.all() else response.samples(some)
 
 
 def _swings(values: Array) -> int:

@@ -24,7 +24,7 @@ from sim.linear.sampled_response import continuous_response
 from sim.physics.simulate import MonitoredBatch
 from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from sim.runs.start import start_effect
-from sim.runs.steps import EXACT, compare_steps, motion_of
+from sim.runs.steps import EXACT
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer, design
 from tests.support.commands import prose, refused
@@ -119,9 +119,8 @@ def test_every_car_is_in_steady_motion_at_first(kind, damping):
         assert np.abs(run.continuous[name] - exact[:10001:10]).max() < 1e-9 * size, name
         # MuJoCo holds the road for 1 ms, in which a wheel at 10 Hz turns by 0.06 rad.
         assert np.abs(run.physics[name] - exact[:10001:10]).max() < 0.06 * size, name
-    steps = compare_steps(motion_of(vehicle), run.prediction.input, run.physics, None, np.inf, {})  # type: ignore[arg-type]
-    assert EXACT == 1e-10
-    assert steps.error < EXACT
+    assert run.agreement.steps is not None
+    assert run.agreement.steps.error < EXACT
     if kind == "full_car":  # the bank is kept, and the body leans by it from the start
         left, right = (run.physics[f"road_displacement_front_{side}"][0] for side in ("left", "right"))
         assert left - right == pytest.approx(z[0, 0] - z[0, 1], rel=1e-12)

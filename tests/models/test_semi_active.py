@@ -1,5 +1,6 @@
-"""The semi-active laws that ship: what each asks for. `test_semi_active_in_mujoco.py` has their runs."""
+"""The built-in semi-active laws: the coefficients that they request, and their runs."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -7,13 +8,15 @@ import pytest
 
 from models.common.errors import InputError
 from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
-from models.roads.road import Road
+from models.roads.choice import choose_road
 from models.vehicle.semi_active_coefficients import numbers_of
-from models.vehicle.vehicle import parse_vehicle
-from sim.runs.report import controller_lines, controller_object
-from sim.runs.run import Run, run_controllers, sample_times
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.runs.report import controller_lines, controller_object, verdict
+from sim.runs.run import run_controllers, sample_times
+from tests.models.test_curves_beside import check_physics
 from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER
 from tests.support.analysed import simulate
+from tests.support.commands import attacks
 
 NAMES = [name for name in LAWS if name != "skyhook_modal"]
 SOFT, HARD, SPRING = 300.0, 4000.0, 13100.0
@@ -26,12 +29,6 @@ def law_of(text: str, name: str) -> tuple[SemiActiveLaw, SemiActive]:
     law = parse_vehicle(text).controllers[name].semi_active
     assert law is not None
     return law, SemiActive(name, law)
-
-
-def runs(text, *names, road: Road = BUMP, duration=1.5, timestep=1e-3) -> list[Run]:
-    """The runs of some laws."""
-    vehicle = parse_vehicle(text)
-    return run_controllers(vehicle, [law_of(text, name)[1] for name in names], road, sample_times(vehicle, duration, timestep))
 
 
 def asked(name: str, z: float, z_s: float, z_u: float, a: float) -> float:
@@ -95,6 +92,22 @@ def test_modes_are_corners():
     np.testing.assert_allclose(found, corners, rtol=1e-12)
     found = only.coefficients(np.array([[heave, pitch, *wheels]]), numbers_of([only], [parse_vehicle(CAR)]))
     np.testing.assert_allclose(found[0], HARD * heave / (body - wheels), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "road"),
+    [("quarter_car", "bump"), *attacks(itertools.product(("half_car", "full_car"), ("bump", "iso8608:class=C")))],
+)
+def test_runs_agree(kind, road):
+    """The run of every law agrees to rounding, and its dampers dissipate energy at every sample."""
+    names = [name for name in LAWS if name != "skyhook_modal" or kind != "quarter_car"]
+    sections = "".join(f'[controllers.law_{name}]\nsemi_active = "{name}"\n' for name in names)
+    vehicle = parse_vehicle(read_vehicle(kind).text + DAMPER + sections)
+    over = BUMP if road == "bump" else choose_road(road).build(vehicle, 15.0, 0, 10.0)
+    drivers = [vehicle.controllers[f"law_{name}"].driver() for name in names]
+    for run in run_controllers(vehicle, drivers, over, sample_times(vehicle, 0.5, 1e-3)):
+        check_physics(run)
+        assert verdict(run).startswith("agrees; no linear reference")
 
 
 @pytest.mark.attack

@@ -136,6 +136,8 @@ ADDED = {
             "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or omit the quotes",
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
+        ('actuator_force = 1.0\nlimit = "both"', "limit = 'both' is not allowed; give 'force' or 'command'"),
+        ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command' and no largest force; give actuator_force [N]"),
     ],
 }
 

@@ -62,7 +62,11 @@ FEATURES: dict[str, dict[str, str]] = {
         "progressive": "[limits]\nsuspension_stroke = { bump = 0.01, rebound = 0.02 }\nstop_stiffness = [1e4, 0, 4e8]",
         "rear": "[limits.rear]\nsuspension_stroke = 0.01\nstop_stiffness = 5e4",
     },
-    "force": {"any": "", "limited": "[limits]\nactuator_force = 100.0"},
+    "force": {
+        "any": "",
+        "limited": "[limits]\nactuator_force = 100.0",
+        "command": '[limits]\nactuator_force = 100.0\nlimit = "command"',
+    },
     "lag": {"none": "", "lags": "[limits]\nactuator_bandwidth = 60.0"},
     "actuators": {
         "push": "",

@@ -19,7 +19,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.frequency.identification import l2_gain
 from sim.studies.frequency.sweep import DRIVEN, REACHED, _road_failures, failures
-from sim.studies.frequency.worst_case_gain import PerWheelRoad, worst_road
+from sim.studies.frequency.worst_case_gain import PerWheelRoad, worst_roads
 from sim.sweep import main
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop
 from synth.analysis.sampled_norm import SampledNorm, reached_gain, sampled_norm
@@ -240,7 +240,7 @@ SAMPLED = "\n[implementation]\nsample_period = 0.01\n"
 
 def driven(vehicle: Vehicle, name: str):
     controller, norm = made(claimed, vehicle, name)
-    road = worst_road(vehicle, controller, norm, 1e-4, 1e-3)
+    (road,) = worst_roads(vehicle, [controller], [norm], 1e-4, 1e-3)
     assert road is not None
     assert not road.ended
     return norm.value, road
@@ -291,7 +291,7 @@ def test_filters_are_in_it():
     vehicle = parse_vehicle(text.replace("sprung_acceleration = 1.0", weights) + SAMPLED)
     controller = design(vehicle, "II")
     sampled = norm_as_implemented(vehicle, controller)
-    norm, found = sampled.value, worst_road(vehicle, controller, sampled, 1e-4, 1e-3)
+    norm, (found,) = sampled.value, worst_roads(vehicle, [controller], [sampled], 1e-4, 1e-3)
     assert found is not None
     assert found.gain == pytest.approx(found.predicted, rel=1e-6)
     assert norm * (1 - REACHED) <= found.gain <= norm * (1 + DRIVEN)
@@ -345,7 +345,7 @@ def test_a_road_under_each_wheel():
 def of_one_sweep(monkeypatch):
     """Words and `--json` are of one sweep, and all sweeps of a vehicle of the same lines, sinusoids, loads, norm and road."""
     monkeypatch.setattr(sim.studies.frequency.sweep, "sweep", once(sim.studies.frequency.sweep.sweep))
-    share(monkeypatch, sim.studies.frequency.sweep, "identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_road")
+    share(monkeypatch, sim.studies.frequency.sweep, "identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_roads")
 
 
 @pytest.fixture(scope="module")
@@ -370,11 +370,11 @@ def test_it_is_printed(capsys, car, monkeypatch, of_one_sweep, factor, words):
     """A sweep of a slow computer prints gain and norm; a false one is a failure; without a computer there is none."""
 
     def other(*arguments):
-        found = made(worst_road, *arguments)
+        (found,) = made(worst_roads, *arguments)
         assert found is not None
-        return replace(found, gain=factor * found.gain)
+        return [replace(found, gain=factor * found.gain)]
 
-    monkeypatch.setattr(sim.studies.frequency.sweep, "worst_road", other)
+    monkeypatch.setattr(sim.studies.frequency.sweep, "worst_roads", other)
     arguments = ["--vehicle", "quarter_car" if factor is None else str(car), "--controller", "I", "--timestep", "2e-3"]
     code = main([*arguments, "--json"])
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]

@@ -121,18 +121,15 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.abs(before["controller_1"][-1]) > 1e300
     found = measure_run(run, first=100)
     text = "\n".join([*verdict_lines(run), verdict(run), *metric_lines(run, found, 0.1, 0.6, ())])
-    assert f"law overflow: the law's own states ran away, and from {when:.4g} s on it asks for no finite force" in text
+    assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
     assert f"no metrics of this run: law overflow at {when:.4g} s" in text
     assert "diverge" not in text
     assert "no vehicle" not in text
     assert (when, "law overflow") in events(run)
     assert run.passed
     cells = validity(vehicle, controller, [BUMP, replace(BUMP, height=0.03)], sample_times(vehicle, 0.6, 1e-3))
-    assert cells.ran_away.all()
-    assert np.all(cells.missing > 0.9)
-    assert "  100.0 % of the cells: the law's own states run away until it asks for no finite force" in envelope_lines(
-        cells, 0.05
-    )
+    assert all(one.broke_off == "law overflow" and one.missing > 0.9 for one in cells.driven.values())
+    assert "  100.0 % of these: the law's own states run away until it asks for no finite force" in envelope_lines(cells, 0.05)
 
 
 def test_a_request_that_swings_behind_a_lag():
@@ -181,7 +178,7 @@ def test_a_campaign_says_why_runs_broke_off(tmp_path, capsys):
     assert campaign([*arguments, "--json"]) == 0
     entry, bounded = json.loads(capsys.readouterr().out)["summary"]
     assert (entry["broke_off"], bounded["broke_off"]) == (1, 0)
-    assert entry["first_reason"].startswith("law overflow: the law's own states ran away, and from 0.")
+    assert entry["first_reason"].startswith("law overflow: the states of the law overflow; from 0.")
     assert campaign(["--verify", str(tmp_path / "results")]) == 0
 
 

@@ -22,7 +22,7 @@ from sim.studies.frequency.describing_function import (
 )
 from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_lines, load_object, minimum_loads
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
-from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_road
+from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_roads
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller, code_of
 from synth.controller.report import judged_lines, norm_if_implemented
@@ -97,14 +97,16 @@ def sweep(
     small: dict[str, Lines] = {}
     if off and amplitude * SMALLER >= LEAST_AMPLITUDE and has_geometry(near):
         small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
-    ideal, sweeps = ideal_measurements(near), []
-    for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
-        of_feedback = controller.preview is None and not _reads_road(ideal, controller)
-        norm = norm_if_implemented(ideal, controller.quiet, timestep) if of_feedback else None
-        road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        noise_text = vehicle.implementation.noise_text
-        sweeps.append(Sweep(line, extreme, norm, road, load, noise_text, small.get(controller.name)))
-    return sweeps
+    ideal = ideal_measurements(near)
+    norms = [
+        None if one.preview is not None or _reads_road(ideal, one) else norm_if_implemented(ideal, one.quiet, timestep)
+        for one in controllers
+    ]
+    roads, noise = worst_roads(ideal, controllers, norms, amplitude, timestep), vehicle.implementation.noise_text
+    return [
+        Sweep(line, extreme, norm, road, load, noise, small.get(line.controller.name))
+        for line, extreme, norm, road, load in zip(lines, most, norms, roads, loads, strict=True)
+    ]
 
 
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:

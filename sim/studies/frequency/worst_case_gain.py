@@ -13,7 +13,7 @@ each new force. Its mean square is then exact to the square of the step.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -213,7 +213,9 @@ def extremes(
     if special:
         together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
         roads["invariants"] = together.to_height(amplitude, time)
-    responses = _responses(vehicle, controllers, roads, time)
+    count, on = len(controllers), [RoadInput(vehicle, road, time) for road in roads.values() for _ in controllers]
+    every = [*driven([*controllers] * len(roads), on)]
+    responses = {name: every[k * count : (k + 1) * count] for k, name in enumerate(roads)}
     worst, integrated = (
         [
             worst_sinusoid(
@@ -244,19 +246,13 @@ def extremes(
     return results
 
 
-def _responses(
-    vehicle: Vehicle, controllers: Sequence[Controller], roads: Mapping[str, Road], time: Array
-) -> dict[str, list[Response]]:
-    """Returns the responses of all controllers over each road, with as many roads in a batch as the memory allows."""
-    count = len(controllers)
-    together = max(1, int(ENTRIES / (count * len(time) * len(vehicle.kind.signals))))
-    names, responses = list(roads), {}
-    for first in range(0, len(names), together):
-        some = names[first : first + together]
-        on = [roads[name] for name in some for _ in controllers]
-        physics = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0)
-        responses |= {name: [physics.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
-    return responses
+def driven(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> Iterator[Response]:
+    """Yields the MuJoCo responses of controllers over a road each, with as many runs in a batch as the memory allows."""
+    at_once = max(1, int(ENTRIES / (len(inputs[0].time) * len(inputs[0].vehicle.kind.signals))))
+    for first in range(0, len(inputs), at_once):
+        some = slice(first, first + at_once)
+        physics = simulate(controllers[some], inputs[some], threads=0)
+        yield from (physics.run(i) for i in range(len(inputs[some])))
 
 
 def _drive_worst(
@@ -357,50 +353,56 @@ class WorstRoad:
     ended: tuple[str, ...]
 
 
-def worst_road(
-    vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, timestep: float
-) -> WorstRoad | None:
-    """Drives the worst road of a loop, or returns None if its norm depends on motion within one sample, which no such road
-    excites.
+def worst_roads(
+    vehicle: Vehicle, controllers: Sequence[Controller], norms: Sequence[SampledNorm | None], amplitude: float, timestep: float
+) -> list[WorstRoad | None]:
+    """Drives the worst roads of loops side by side; None for a loop without a norm, or whose norm depends on motion within one
+    sample, which no such road excites.
 
     Args:
         vehicle: the vehicle, without noise and quantisation.
-        controller: controller whose loop is stable.
-        norm: norm of that loop as implemented.
+        controllers: controllers whose loops are stable.
+        norms: norms of these loops as implemented, or None.
         amplitude: largest height of the road [m].
-        timestep: longest timestep of the run [s]; the sample period if the vehicle gives none.
+        timestep: longest timestep of the runs [s]; the sample period if the vehicle gives none.
     """
-    if norm.inside:
-        return None
+    roads = list[WorstRoad | None]([None] * len(controllers))
+    some = [(i, controllers[i], norm) for i, norm in enumerate(norms) if norm is not None and not norm.inside]
+    if not some:
+        return roads
     period, own = vehicle.implementation.sample_period or timestep, steps_per_sample(vehicle.implementation, timestep)
     wanted = period / max(min(timestep, FINE, period / FEWEST), SHORTEST_STEP) * (1 - 1e-9)
     steps = own * math.ceil(wanted / own)  # a delay that ends with a step does so with a part of one
-    built = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
-    return _driven(built, controller, norm, amplitude, period / steps)
-
-
-def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, h: float) -> WorstRoad:
-    """A controller on its worst road, at a step of h seconds."""
-    turn, steps = _turn(norm.angle), steps_per_sample(vehicle.implementation, h)
-    angle, count = 2 * math.pi * float(turn), turn.denominator * steps
-    predicted, waves, omega = _worst(vehicle, controller, angle, h, _most_lines(steps))
-    loop = LoopModel(vehicle, controller, h)
-    settling, slow = settling_of(loop, PERIODIC_SETTLED)
-    length = _told(loop, slow, count + 1)
-    time = sample_times(vehicle, settling + (length + 1) * h, h)
-    road = PerWheelRoad.under(vehicle, omega, waves, float(time[-1]))
-    scale = amplitude / road.highest(time[: count + 1])
-    response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).run(0)
-    # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude, but
-    # where every one is there twice.
-    end = Response(time[-length:], response.signals, response.values[-length:])
-    end = without_slow_motion(loop, end, slow, np.array([angle]))
-    last = Response(end.time[-count - 1 :], end.signals, end.values[-count - 1 :])
-    size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
-    gain = math.sqrt(mean_square(vehicle, last)) / size
+    vehicle, h = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period)), period / steps
+    loops = [LoopModel(vehicle, controller, h) for _, controller, _ in some]
+    turns = [_turn(norm.angle) for *_, norm in some]
+    settled = [settling_of(loop, PERIODIC_SETTLED) for loop in loops]
+    counts = [turn.denominator * steps for turn in turns]
+    lengths = [_told(loop, slow, count + 1) for loop, (_, slow), count in zip(loops, settled, counts, strict=True)]
+    time = sample_times(
+        vehicle, max(settling + (length + 1) * h for (settling, _), length in zip(settled, lengths, strict=True)), h
+    )
+    worst = [
+        _worst(vehicle, controller, 2 * math.pi * float(turn), h, _most_lines(steps))
+        for (_, controller, _), turn in zip(some, turns, strict=True)
+    ]
+    under = [PerWheelRoad.under(vehicle, omega, waves, float(time[-1])) for _, waves, omega in worst]
+    scales = [amplitude / road.highest(time[: count + 1]) for road, count in zip(under, counts, strict=True)]
+    inputs = [RoadInput(vehicle, road.scaled(scale), time) for road, scale in zip(under, scales, strict=True)]
+    runs = driven([controller for _, controller, _ in some], inputs)
     twisted = len(road_twist_inputs(vehicle.linear_model)) > 0
-    finer, _, _ = _worst(vehicle, controller, angle, h / 2, _most_lines(steps))
-    return WorstRoad(angle, predicted, finer, gain, h, twisted, ended_by(vehicle, response, has_anti_windup(controller)))
+    for k, ((i, controller, _), turn, response) in enumerate(zip(some, turns, runs, strict=True)):
+        angle = 2 * math.pi * float(turn)
+        # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude,
+        # but where every one is there twice.
+        end = Response(time[-lengths[k] :], response.signals, response.values[-lengths[k] :])
+        end = without_slow_motion(loops[k], end, settled[k][1], np.array([angle]))
+        last = Response(end.time[-counts[k] - 1 :], end.signals, end.values[-counts[k] - 1 :])
+        gain = math.sqrt(mean_square(vehicle, last)) / (scales[k] * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5)))
+        finer, _, _ = _worst(vehicle, controller, angle, h / 2, _most_lines(steps))
+        ended = ended_by(vehicle, response, has_anti_windup(controller))
+        roads[i] = WorstRoad(angle, worst[k][0], finer, gain, h, twisted, ended)
+    return roads
 
 
 def _turn(angle: float) -> Fraction:

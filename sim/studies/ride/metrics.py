@@ -22,9 +22,8 @@ Angles, for a body under loads: dive, squat and roll.
 
 The window of all metrics leaves out the transient at the start of a run from rest.
 
-A run's acceleration at a sample is the one just after the jump, with the new force. Just before, it was less by D (u[k] -
-u[k-1]), with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, the
-jump is -(c[k] - c[k-1]) v. A lagging force does not jump.
+The rms of an acceleration, and rms and peak of a damper's force, use the values on both sides of a jump if the vehicle has
+adjustable dampers.
 
 A body's angles are linear in its heights over the wheels, and so in deflections and road heights (`VehicleKind.angles`). From
 MuJoCo's readings they are right to the square of the angle.
@@ -41,72 +40,11 @@ from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELE
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
+from sim.response.jumps import Jumps
 from sim.response.response import Response
 from sim.studies.ride.weighting import filtered, sampled_wk
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
-
-
-class AccelerationAtJumps:
-    """Accelerations midway through the jumps of held forces, for N runs of one kind of vehicle, block by block."""
-
-    def __init__(self, vehicles: Sequence[Vehicle], accelerations: Sequence[str], index: Mapping[str, int]) -> None:
-        """Prepares these acceleration signals; `index` maps output signals and coefficients to their places among the values."""
-        vehicle = vehicles[0]
-        forces, outputs = vehicle.linear_model.inputs, vehicle.linear_model.outputs
-        dampers = {one.force: one for one in vehicle.adjustable}
-        self.nominal = {force: np.array([_nominal(one, force) for one in vehicles])[:, None] for force in dampers}
-        self.coefficient = {force: index[one.coefficient] for force, one in dampers.items()}
-        lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
-        if vehicle.limits.actuator_bandwidth is not None:
-            lagging |= set(forces) - set(dampers)
-        D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # (p, m, N)
-        # Jump of every acceleration per newton of each force, shape (N, 1).
-        self.shares = {
-            name: {
-                force: D[outputs.index(name), j][:, None]
-                for j, force in enumerate(forces)
-                if force not in lagging and np.any(D[outputs.index(name), j])
-            }
-            for name in accelerations
-        }
-        self.jumping = [force for force in forces if any(force in shares for shares in self.shares.values())]
-        self.index = {force: index[force] for force in self.jumping}
-        self.before: dict[int, Array] = {}  # last sample of the previous block, by place, shape (N, 1)
-
-    def __call__(self, values: Array) -> dict[str, Array]:
-        """Returns half the jumps of each acceleration, to subtract, shape (N, B), for the next block of signals, (B, S, N)."""
-        half = {force: self._jump(force, values) / 2 for force in self.jumping}
-        half_jumps = {}
-        for name, shares in self.shares.items():
-            for force, share in shares.items():
-                part = share * half[force]
-                half_jumps[name] = half_jumps[name] + part if name in half_jumps else part
-        return half_jumps
-
-    def _jump(self, force: str, values: Array) -> Array:
-        """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""
-        last, now = self._both(self.index[force], values)
-        if force not in self.coefficient:
-            return now - last
-        # v from the force u = -(c - nominal) v, before or after the jump, whichever coefficient is further from nominal.
-        nominal = self.nominal[force]
-        c_last, c_now = self._both(self.coefficient[force], values)
-        after = np.abs(c_now - nominal) >= np.abs(c_last - nominal)
-        beyond, u = np.where(after, c_now, c_last) - nominal, np.where(after, now, last)
-        return (c_now - c_last) * u / np.where(beyond == 0, 1.0, beyond)
-
-    def _both(self, place: int, values: Array) -> tuple[Array, Array]:
-        """Returns a signal delayed by one sample, and as it is, shapes (N, B)."""
-        now = values[:, place].T
-        last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
-        self.before[place] = now[:, -1:].copy()
-        return last, now
-
-
-def _nominal(vehicle: Vehicle, force: str) -> float:
-    return next(one.nominal for one in vehicle.adjustable if one.force == force)
-
 
 DEGREES = 180 / math.pi
 PITCH, ROLL = "pitch_angle", "roll_angle"
@@ -151,7 +89,8 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
 
 
 RUNNING = 1.0  # time constant of the running rms [s]
-DEFINITIONS = 5  # version of the metrics and their expectations; one more whenever a number changes
+DEFINITIONS = 6  # version of the metrics and their expectations; one more whenever a number changes
+ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had one value at a jump; else the same numbers
 
 
 @dataclass(frozen=True)
@@ -297,8 +236,8 @@ class Meter:
             for name in self.where.accelerations
         }
         self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
-        places = {name: i for i, name in enumerate(names)}
-        self.midway = AccelerationAtJumps(vehicles, self.where.accelerations, places)
+        self.both_sides = bool(self.vehicle.dampers)
+        self.jumps = Jumps(vehicles, (*self.where.accelerations, *(self.vehicle.linear_model.inputs if self.both_sides else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
         self.before: dict[str, Array] = {}  # last sample of forces and deflections, for the work, shape (N, 1)
         self.sums: dict[str, Array] = {}
@@ -310,10 +249,12 @@ class Meter:
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
-        halves = self.midway(values)
+        jumps = self.jumps(values)
         for name in self.where.accelerations:
             acceleration = self._signal(values, name)
-            self._ride(name, acceleration - halves[name] if name in halves else acceleration, skip)
+            self._ride(name, acceleration - jumps[name] / 2 if name in jumps else acceleration, skip)
+            if self.both_sides and name in jumps:  # of both sides: of their mean, and of half their difference
+                self._add(f"{name}_rms", _squares(jumps[name][:, skip:] / 2))
         if skip == len(values):
             return
         values = values[skip:]
@@ -347,6 +288,10 @@ class Meter:
             force = self._signal(values, name)
             self._add(f"{name}_rms", _squares(force))
             self._keep(f"{name}_peak", force)
+            if name in jumps:
+                before = force - jumps[name][:, skip:]
+                self._add(f"{name}_rms", (_squares(before) - _squares(force)) / 2)
+                self._keep(f"{name}_peak", before)
             if travel:
                 force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
                 work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]

@@ -1,33 +1,33 @@
-"""The height of a bump at which the linear regime ends: predicted by one linear run, and enclosed by MuJoCo on both sides.
+"""The height of a bump at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
 
-Before anything breaks the response is proportional to the height, so the height is one over the use per metre. A body that turns
-for real leaves that a little, so what counts is what MuJoCo did: the highest bump that breaks nothing, and the next that does.
+Before anything breaks the response is proportional to the height, so the height is one over the share of the way to the end per
+metre. MuJoCo runs a bump just below it and one just above. Where they do not enclose the end, as with rotating bodies, curves,
+loads or noise, the share that the highest run without an end has reached tells where to look next.
 
-With adjustable dampers, and with curves, it is the end of the analysis that has them: dampers leave a linear controller short at
-any height, and a curve is off its line a little before it counts as left.
+With adjustable dampers it is the end of the analysis that has them: dampers leave a linear controller short at any height.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.load import Load
 from models.roads.road import LIMITS, Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import is_linear
-from sim.linear.sampled_response import sampled_response
-from sim.linear.switched_response import switched_response
-from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, utilisation
-from sim.runs.run import run_controllers
-from sim.studies.validity.regime_map import validity
-from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.open_loop import LoopModel
+from sim.physics.simulate import simulate
+from sim.response.regime import END_NAMES
+from sim.response.response import Response
+from sim.studies.validity.driven import Driven, analysed, driven, largest_difference, loaded, shares
+from synth.controller.controller import Controller
 
-# Factors on the predicted height, either way, within which the end is looked for: the first is how closely it is to be known,
-# the second what a turning body makes of it, the third more than any vehicle should need.
-REACHES = (1.001, 1.03, 4.0)
-POINTS = 9  # heights that are run side by side
+WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
+NEAR = 1.03  # factor within which another end may come first: a body that rotates moves an end by so much
+FURTHEST = 4.0  # factor on the predicted height, more than any vehicle should need
+ROUNDS = 8  # of runs, for an end that is not where it is predicted
+OVER, CUTS = 0.8, 30  # share of the largest one from which on the rest of a run is left out, looked for at so many times
 
 
 @dataclass(frozen=True)
@@ -35,75 +35,125 @@ class RegimeEnd:
     """End of the linear regime of one controller, over bumps of one length and speed.
 
     Attributes:
-        predicted: height of the end by linear analysis [m].
+        predicted: height of the end by analysis [m].
         predicted_end: name of the predicted end in `REGIME_ENDS`.
-        near: names of the ends within the second of `REACHES` of that height: a body that turns may meet another one first.
+        near: names of the ends within `NEAR` of that height.
         stays: highest bump in MuJoCo without an end [m]; 0 if every bump had one.
-        error: largest difference of that run from the analysis, over any signal's peak; 0 without such a run.
         leaves: lowest bump in MuJoCo with an end [m], or infinity.
         end: first end there, of `REGIME_ENDS`; empty without an end.
+        error: largest difference of the run at `stays` from the analysis, over any signal's peak; 0 if it is not compared.
     """
 
     predicted: float
     predicted_end: str
     near: tuple[str, ...]
     stays: float
-    error: float
     leaves: float
     end: str
+    error: float = 0.0
 
     @property
     def confirmed(self) -> bool:
         """Returns True if MuJoCo has an end, and it is the predicted one, or one as near."""
         return self.end in self.near and self.stays > 0
 
+    @property
+    def found(self) -> float:
+        """Returns the height of the end in MuJoCo [m], midway between the two runs."""
+        return (self.stays + self.leaves) / 2
 
-def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array) -> RegimeEnd | None:
-    """Returns the end of the linear regime over bumps of this length, speed and track, or None if no allowed height has one.
+
+def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump, time: Array) -> list[RegimeEnd | None]:
+    """Returns where the linear regime ends over bumps of this length and speed, or None if no allowed height has an end.
 
     Args:
-        controller: controller whose loop is stable.
-        bump: a bump of any height.
+        controllers: controllers whose loops are stable.
+        bump: bump from whose response all others are predicted.
         time: equidistant sample times from 0 [s].
     """
-    metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
-    road = RoadInput(vehicle.linearised, metre, time)
-    alone = (
-        switched_response(controller, [RoadInput(vehicle, metre, time)]).run(0)
-        if short
-        else sampled_response(LoopModel(road.vehicle, controller, road.timestep), road)
-    )
-    used = utilisation(vehicle, alone, has_anti_windup(controller))
-    if short:
-        used[REGIME_ENDS.index(DAMPER)] = 0.0
-    if used.max() * LIMITS["height"][1] < REACHES[-1]:
-        return None
-    predicted = float(1 / used.max())
-
-    near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * REACHES[1] >= used.max())
-    ends = RegimeEnd(predicted, END_NAMES[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
-    for reach in REACHES:
-        heights = predicted * np.geomspace(1 / reach, reach, POINTS if reach > REACHES[0] else 2)
-        ends = _narrowed(ends, vehicle, controller, bump, heights, time)
-        if ends.stays > 0 and ends.end:
-            break
-    while ends.stays > 0 and ends.leaves - ends.stays > 2.01 * (REACHES[0] - 1) * predicted and ends.end:
-        heights = np.linspace(ends.stays, ends.leaves, POINTS)[1:-1]
-        ends = _narrowed(ends, vehicle, controller, bump, heights, time)
-    if ends.stays > 0 and vehicle.is_curved and not short:  # a map knows how far it is from a linear response only
-        (run,) = run_controllers(vehicle, [controller], replace(bump, height=ends.stays), time)
-        ends = replace(ends, error=max(signal.sampled for signal in run.agreement.signals.values()))
+    ends = enclosed(vehicle, controllers, [bump] * len(controllers), time)
+    below = {i: replace(bump, height=end.stays) for i, end in enumerate(ends) if end is not None and end.stays > 0}
+    inputs = [RoadInput(vehicle, road, time) for road in below.values()]
+    physics = simulate([controllers[i] for i in below], inputs) if below else None
+    for k, (i, road) in enumerate(below.items()):
+        end, analysis = ends[i], analysed(vehicle, controllers[i], [road], time).run(0)
+        if end is not None and physics is not None:
+            ends[i] = replace(end, error=largest_difference(vehicle, physics.response.run(k), analysis))
     return ends
 
 
-def _narrowed(ends: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
-    """Returns the end narrowed by runs of more heights, ascending [m]."""
-    cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time, foretold=False)
-    breaks = (cells.first >= 0) | np.isinf(cells.error)
-    first = int(breaks.argmax()) if breaks.any() else len(heights)
-    if first > 0 and heights[first - 1] > ends.stays:
-        ends = replace(ends, stays=float(heights[first - 1]), error=float(cells.error[first - 1]))
-    if first < len(heights) and heights[first] < ends.leaves:
-        end = END_NAMES[cells.first[first]] if cells.first[first] >= 0 else LAW_OVERFLOW if cells.ran_away[first] else DIVERGENCE
-        ends = replace(ends, leaves=float(heights[first]), end=end)
-    return ends
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
+def enclosed(
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    bumps: Sequence[Bump],
+    time: Array,
+    loads: tuple[Load, ...] = (),
+    within: float = WITHIN,
+) -> list[RegimeEnd | None]:
+    """Returns the ends of the linear regime over bumps of N lengths and speeds, each enclosed by MuJoCo runs.
+
+    Args:
+        controllers: N controllers.
+        bumps: bumps from whose responses all others are predicted.
+        time: equidistant sample times from 0 [s].
+        loads: loads on the body over every bump.
+        within: factor on the height, either way, between the runs.
+
+    Returns:
+        An end for each bump, or None if no allowed height has one.
+    """
+    ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, Driven]]]()
+    for i, (controller, bump) in enumerate(zip(controllers, bumps, strict=True)):
+        response = analysed(vehicle, controller, [loaded(bump, loads)], time).run(0)
+        used = shares(vehicle, controller, response) / abs(bump.height)
+        if used.max() * LIMITS["height"][1] >= FURTHEST:
+            near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * NEAR >= used.max())
+            ends[i] = RegimeEnd(float(1 / used.max()), END_NAMES[int(used.argmax())], near, 0.0, math.inf, "")
+            samples[i], tried[i] = _needed(vehicle, controller, response), []
+    guess = {i: end.predicted for i, end in ends.items()}
+    for _ in range(ROUNDS):
+        todo = [i for i, end in ends.items() if _is_open(end, within)]
+        heights = [(i, guess[i] * factor) for i in todo for factor in (1 / within, within)]
+        roads = [loaded(replace(bumps[i], height=math.copysign(height, bumps[i].height)), loads) for i, height in heights]
+        runs = [(controllers[i], road, samples[i]) for (i, _), road in zip(heights, roads, strict=True)]
+        for (i, height), result in zip(heights, driven(vehicle, runs, time), strict=True):
+            tried[i].append((height, result))
+        for i in todo:
+            high, end = min(((height, result.end) for height, result in tried[i] if result.end), default=(math.inf, ""))
+            whole = sorted((height, result.share) for height, result in tried[i] if not result.end and height < high)
+            ends[i] = replace(ends[i], stays=whole[-1][0] if whole else 0.0, leaves=high, end=end)
+            guess[i] = _next([(0.0, 0.0), *whole], high, within) if whole else high / NEAR ** len(tried[i])
+    return [ends.get(i) for i in range(len(bumps))]
+
+
+def _is_open(end: RegimeEnd, within: float) -> bool:
+    """Returns True if an end is not enclosed yet, and may be at an allowed height."""
+    highest = min(FURTHEST * end.predicted, LIMITS["height"][1] / within**2)
+    return end.leaves > end.stays * within**2 * (1 + 1e-9) and end.stays < highest
+
+
+def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> float:
+    """Returns the height to be looked at next [m].
+
+    Args:
+        whole: heights of bumps without an end, ascending, and the shares of the way to an end that they reached.
+        high: lowest height with an end [m], or infinity.
+    """
+    (before, share_before), (low, share) = whole[-2:]
+    height = low + (1 - share) * (low - before) / (share - share_before) if share > share_before else math.inf
+    if low * within < height < high / within:
+        return min(height, 2 * low)
+    return math.sqrt(low * high) if math.isfinite(high) else low * within**2
+
+
+def _needed(vehicle: Vehicle, controller: Controller, response: Response) -> int:
+    """Returns the number of samples after which a response is so much smaller than before that no end comes any more."""
+    count, most = len(response.time), shares(vehicle, controller, response).max()
+    if vehicle.implementation.has_measurement_noise:  # which is as large later
+        return count
+    for cut in range(count // CUTS, count - 1, max(1, count // CUTS)):
+        rest = Response(response.time[cut:], response.signals, response.values[cut:])
+        if shares(vehicle, controller, rest).max() < OVER * most:
+            return cut
+    return count

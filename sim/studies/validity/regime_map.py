@@ -1,42 +1,55 @@
 """Map of validity: range of linear analysis over a grid of bumps, and the first event that ends it.
 
 Before the first event physics *is* linear, so the event and its time follow from the linear response alone; and that is
-proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights. MuJoCo runs every
-cell to check it.
+proportional to the height of the bump. One linear response per length and speed predicts a whole column of heights, and the map
+is drawn from these predictions. MuJoCo confirms them in a few cells, which are spread evenly, and along the edge of the linear
+regime, which two runs enclose at each length and speed.
 
 With adjustable dampers a linear controller lacks force at once, at whatever height. The map therefore shows the share of missing
 force, and the first event ends the analysis *with* its dampers, the switched response, which is also proportional to the height.
-A curve departs from its line gradually: it counts from a stated share, `LEAVES`.
+A curve departs from its line gradually: it counts from a stated share, `LEAVES`. Responses with curves or loads are not
+proportional to the height, so every cell has its own.
 """
 
-import functools
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
-from models.common.threads import cores, side_by_side
 from models.roads.load import Load
-from models.roads.loaded import RoadWithLoads
-from models.roads.obstacles import Flat
-from models.roads.road import Bump, Road, RoadInput
+from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import is_linear, squarable
-from sim.linear.sampled_response import sampled_response, sampled_responses
-from sim.linear.switched_response import switched_response
-from sim.physics.run_blocks import runs_at_once
-from sim.physics.simulate import FEWEST, MonitoredBatch
-from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
-from sim.response.response import Response
+from sim.linear.dampers import is_linear
+from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
+from sim.studies.validity.driven import Driven, analysed, driven, loaded, shares
+from sim.studies.validity.regime_end import RegimeEnd, enclosed
 from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.open_loop import LoopModel
 
-ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
-MOST_AT_ONCE = 64  # runs in a batch: more hardly save time
-EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
+BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
+AT_ONCE = 64  # responses side by side
+FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # cells and edges that are run at least; their shares of all cells
+SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / g and 1 / g^2, where g^3 = g + 1: they fill a plane evenly
+WITHIN = 1.004  # factor on the height, either way, between the runs that enclose an edge
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Predictions for N bumps.
+
+    Attributes:
+        used: share of the way to each of `REGIME_ENDS`, shape (N, E).
+        first: first end as an index into `REGIME_ENDS`, -1 for none, shape (N,).
+        time: time of that end [s], infinite for none, shape (N,).
+        travel: largest deflection of any suspension [m], shape (N,).
+    """
+
+    used: Array
+    first: Array
+    time: Array
+    travel: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,66 +58,64 @@ class Cells:
 
     Attributes:
         bumps: bumps, one for each cell.
-        error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
-        first: first end in physics, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
-        time: time of that end [s], infinite for none, shape (N,).
-        predicted: first end in the linear response, shape (N,).
-        predicted_time: time of that end [s], shape (N,).
-        used: share of the way to each of `REGIME_ENDS` in the linear response, shape (N, E).
-        edge: True if the prediction differs at a height 1 % lower or higher, shape (N,).
-        ran_away: True if the run broke off because the states of its law diverged, shape (N,).
-        missing: rms of the forces that adjustable dampers did not give in physics, over that of the requested ones at the
-            samples; 0 if none was requested, NaN without such dampers, shape (N,).
-        travel: largest deflection of any suspension in physics, either way [m], shape (N,).
+        predicted: predictions of all cells.
+        driven: results of MuJoCo, by the index of the cell.
+        boundary: indices of those of them whose prediction differs at a height 1 % lower or higher.
+        ends: heights that MuJoCo encloses, by the index of a cell of their length and speed.
     """
 
     bumps: tuple[Bump, ...]
-    error: Array
-    first: Array
-    time: Array
-    predicted: Array
-    predicted_time: Array
-    used: Array
-    edge: Array
-    ran_away: Array
-    missing: Array
-    travel: Array
+    predicted: Predicted
+    driven: Mapping[int, Driven]
+    boundary: frozenset[int]
+    ends: Mapping[int, RegimeEnd]
 
-    def counted(self, noun: str) -> str:
-        """Describes the number of cells."""
-        return f"{len(self.bumps)} {noun}"
+    def end_of(self, i: int) -> str:
+        """Returns the name of the predicted first end of a cell; empty without an end."""
+        return END_NAMES[self.predicted.first[i]] if self.predicted.first[i] >= 0 else ""
+
+    def share(self, holds: Callable[[Driven], bool]) -> float:
+        """Returns the share of the MuJoCo runs for which something holds."""
+        return float(np.mean([holds(one) for one in self.driven.values()]))
 
     @property
     def short(self) -> str:
         """Describes the share of missing force of adjustable dampers; empty if no force is missing."""
-        some = self.missing[self.missing > 0]
-        if not len(some):
+        some = [one.missing for one in self.driven.values() if one.missing > 0]
+        if not some:
             return ""
-        least, most = (percent(float(share)) for share in (some.min(), some.max()))
+        least, most = percent(min(some)), percent(max(some))
         much = most if least == most else f"{least} to {most}"
         return f"of the force asked of its adjustable dampers {much} (rms) is missing"
 
-    @property
-    def agrees(self) -> Array:
-        """Returns True for cells whose first event in physics is the predicted one, shape (N,)."""
-        return self.first == self.predicted
+    @cached_property
+    def others(self) -> frozenset[int]:
+        """Returns the cells whose first event in MuJoCo is not the predicted one."""
+        return frozenset(i for i, one in self.driven.items() if one.first != self.predicted.first[i])
 
     @property
     def agreement(self) -> float:
-        """Share of the cells whose prediction was right."""
-        return float(self.agrees.mean())
+        """Share of the cells that MuJoCo ran whose prediction was right."""
+        return 1 - len(self.others) / len(self.driven)
 
     @property
     def unexplained(self) -> int:
         """Cells whose prediction was wrong though they lie at no boundary."""
-        return int(np.sum(~self.agrees & ~self.edge))
+        return len(self.others - self.boundary)
+
+    @property
+    def furthest(self) -> float:
+        """Returns the largest relative distance from a predicted end to a run that encloses it; 0 without any."""
+        both = [height / end.predicted for end in self.ends.values() for height in (end.stays, end.leaves)]
+        return max((abs(share - 1) for share in both), default=0.0)
 
     @property
     def as_predicted(self) -> bool:
-        """Returns True if the first event is the predicted one in all but a few cells, and those are at a boundary."""
-        return self.agreement >= ENOUGH and not self.unexplained
+        """Returns True if every end along the edge is the predicted one, and every first event away from a boundary."""
+        return not self.unexplained and all(end.confirmed for end in self.ends.values())
 
 
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its cells say so
 def validity(
     vehicle: Vehicle,
     controller: Controller,
@@ -112,155 +123,88 @@ def validity(
     time: Array,
     progress: Callable[[int], None] = lambda done: None,
     loads: tuple[Load, ...] = (),
-    foretold: bool = True,
+    shape: tuple[int, ...] = (),
+    every: bool = False,
 ) -> Cells:
-    """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
+    """Predicts the first end over every bump, and runs some of them in MuJoCo.
 
     Args:
+        bumps: bumps of a grid, the last axis running fastest.
         time: equidistant sample times from 0 [s].
-        progress: callback that receives the number of finished cells.
+        progress: callback that receives the number of predicted cells.
         loads: loads on the body over every bump.
-        foretold: True to predict each cell, which is slow with curves or loads.
+        shape: cells along each axis of the grid; empty for one axis.
+        every: True to run every cell in MuJoCo.
     """
-    # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others,
-    # unless a thread would have too few runs.
-    order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
-    at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
-    fewest = -(-len(bumps) // at_once)
-    batches = max(fewest, min(cores() * -(-fewest // cores()), len(bumps) // FEWEST))
-    chunks = [chunk for chunk in np.array_split(order, batches) if len(chunk)]
-    pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time, loads, foretold) for chunk in chunks]
-    parts: list[Cells | None] = [None] * len(chunks)
-    with closing(side_by_side(pieces, cores())) as results:
-        for number, part in results:
-            parts[number] = part
-            progress(sum(len(part.bumps) for part in parts if part is not None))
-    back = np.argsort(order)
-    arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
-    return Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
+    predicted = _predicted(vehicle, controller, bumps, time, loads, progress)
+    chosen = np.arange(len(bumps)) if every else _spread(shape or (len(bumps),))
+    runs = driven(vehicle, [(controller, loaded(bumps[i], loads), len(time)) for i in chosen], time)
+    boundary = set[int]()
+    for factor in (1 - BOUNDARY, 1 + BOUNDARY):
+        moved = [replace(bumps[i], height=factor * bumps[i].height) for i in chosen]
+        boundary |= {*chosen[_predicted(vehicle, controller, moved, time, loads).first != predicted.first[chosen]].tolist()}
+    edges = _at_edges(bumps, predicted.used.max(axis=1), shape or (len(bumps),))
+    ends = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
+    found = {i: end for i, end in zip(edges, ends, strict=True) if end is not None}
+    return Cells(tuple(bumps), predicted, dict(zip(chosen.tolist(), runs, strict=True)), frozenset(boundary), found)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its cells say so
-def _run(
+def _spread(shape: tuple[int, ...]) -> Array:
+    """Returns the indices of a few cells of a grid that fill it evenly."""
+    count = int(np.prod(shape))
+    wanted = min(count, max(FEWEST, round(count * IN_CELLS)))
+    if len(shape) == 1 or wanted == count:
+        return np.linspace(0, count - 1, wanted).round().astype(int)
+    places = (0.5 + np.multiply.outer(np.arange(wanted), SPREAD)) % 1
+    return np.unique(np.ravel_multi_index(tuple((places * shape).astype(int).T), shape))
+
+
+def _at_edges(bumps: Sequence[Bump], used: Array, shape: tuple[int, ...]) -> list[int]:
+    """Returns the indices of some cells at the edge of the linear regime, at most one of each length and speed, evenly spread.
+
+    At an edge a neighbour lies on its other side. Where the height varies, that is the neighbour with another height.
+    """
+    beyond, size, edges = (used >= 1).reshape(shape), np.abs(np.log(used)).reshape(shape), np.zeros(shape, dtype=bool)
+    heights = np.array([bump.height for bump in bumps]).reshape(shape)
+    varied = [axis for axis in range(len(shape)) if np.ptp(heights, axis=axis).max() > 0]
+    for axis in varied or range(len(shape)):
+        differ, nearer = np.diff(beyond, axis=axis), np.diff(size, axis=axis) < 0
+        first, second = (np.moveaxis(edges, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        first |= np.moveaxis(differ & ~nearer, axis, 0)
+        second |= np.moveaxis(differ & nearer, axis, 0)
+    found = {(bumps[i].length, bumps[i].speed): int(i) for i in np.flatnonzero(edges)}
+    most = max(FEWEST, round(len(bumps) * AT_EDGES))
+    return [list(found.values())[k] for k in sorted({*np.linspace(0, len(found) - 1, min(most, len(found))).round().astype(int)})]
+
+
+def _predicted(
     vehicle: Vehicle,
     controller: Controller,
     bumps: Sequence[Bump],
     time: Array,
     loads: tuple[Load, ...],
-    foretold: bool,
-    stopped: Callable[[], bool],
-) -> Cells | None:
-    """Some cells, in one batch that is compared with the linear response as it goes; None once it is stopped."""
-    count, heights = len(bumps), np.array([bump.height for bump in bumps])
-    keys = [(bump.length, bump.speed) for bump in bumps]
-    columns = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    column = np.array([columns[key] for key in keys])
-
-    # Of bumps one metre high: all else is proportional to it.
-    loop = LoopModel(vehicle.linearised, controller, float(time[1]))
-    metres = [RoadInput(vehicle.linearised, Bump(1.0, *key), time) for key in columns]
-    unit = sampled_responses(loop, metres)
-    outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
-    linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
-    short = not is_linear(vehicle, controller)
-    if not foretold:
-        used, times = np.zeros((count, len(END_NAMES))), np.full((count, 3, len(END_NAMES)), np.inf)
-    elif vehicle.is_curved or loads:
-        used, times = _one_by_one(vehicle, controller, bumps, time, loads)
-    else:
-        of_metre = switched_response(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
-        used, times = _in_proportion(vehicle, of_metre, heights, column, has_anti_windup(controller))
-    end = REGIME_ENDS.index(DAMPER)
-    if short:
-        used[:, end], times[..., end] = 0.0, np.inf
-    predicted = first_end(times)
-    inputs = [RoadInput(vehicle, loaded(bump, loads), time) for bump in bumps]
-    flat = sampled_response(loop, RoadInput(vehicle.linearised, loaded(Flat(), loads), time))  # what loads alone do is added
-    push = flat.values[:, outputs, None]
-
-    watched, apart = MonitoredBatch([controller] * count, inputs), np.zeros((len(outputs), count))
-    forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
-    moves = [unit.names.index(suspension.deflection) for suspension in vehicle.kind.suspensions]
-    travel, squares = np.zeros(count), np.zeros((2, count))  # of what is missing, and of what was asked
-    for block in watched.blocks():
-        if stopped():
-            return None
-        some = slice(block.start, block.start + len(block.values))
-        parts = zip(apart, outputs, np.moveaxis(linear[some], 1, 0), np.moveaxis(push[some], 1, 0), strict=True)
-        for worst, i, response, more in parts:
-            np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column] - more).max(axis=0), out=worst)
-        np.maximum(travel, np.abs(block.values[:, moves]).max(axis=(0, 1), initial=0.0), out=travel)
-        for given, missing in forces:
-            lost = squarable(block.values[:, missing])
-            squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
-
-    scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
-    sizes = np.abs(heights) * scales[column].T
-    if loads:
-        whole = [replace(unit, values=height * unit.values[i] + flat.values) for height, i in zip(heights, column, strict=True)]
-        sizes = np.array([[one.scale(unit.names[j]) or np.inf for one in whole] for j in outputs])
-    error = (apart / sizes).max(axis=0)
-    reached, diverged = watched.ends.times, watched.diverged
-    if short:
-        reached[:, end] = np.inf
-    first = reached.min(axis=1)
-    broken = first < diverged
-    return Cells(
-        bumps=tuple(bumps),
-        error=np.where(np.isfinite(diverged), np.inf, error),
-        first=np.where(broken, first_end(reached), -1),
-        time=np.where(broken, first, np.inf),
-        predicted=predicted[:, 0],
-        predicted_time=times[:, 0].min(axis=-1),
-        used=used,
-        edge=np.any(predicted != predicted[:, :1], axis=1),
-        ran_away=watched.ran_away,
-        missing=np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf)) if forces else np.full(count, np.nan),
-        travel=travel,
-    )
-
-
-def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array, anti_windup: bool) -> tuple[Array, Array]:
-    """Returns the share of each end that bumps reach, shape (N, E), and the times, from responses to a bump of a metre.
-
-    The times are for every bump as it is, and 1 % lower and higher, shape (N, 3, E).
-
-    Args:
-        heights: heights of the bumps [m], shape (N,).
-        column: indices of their runs, shape (N,).
-        anti_windup: True if the law has anti-windup.
-    """
-    hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
-    used = np.abs(heights)[:, None] * np.where(
-        heights[:, None] > 0, utilisation(vehicle, unit, anti_windup)[column], utilisation(vehicle, hole, anti_windup)[column]
-    )
-    for i in dict.fromkeys(column.tolist()):
-        mine = np.flatnonzero(column == i)
-        factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
-        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel(), anti_windup).reshape(len(mine), 3, -1)
-    return used, times
-
-
-def _one_by_one(
-    vehicle: Vehicle, controller: Controller, bumps: Sequence[Bump], time: Array, loads: tuple[Load, ...]
-) -> tuple[Array, Array]:
-    """The same of responses with curves or loads, which are not proportional to the height."""
-    factors = (1, 1 - EDGE, 1 + EDGE)
-    near = [loaded(replace(bump, height=factor * bump.height), loads) for factor in factors for bump in bumps]
-    inputs = [RoadInput(vehicle, road, time) for road in near]
-    linear = is_linear(vehicle, controller)
-    responses = (
-        sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
-        if linear
-        else switched_response(controller, inputs)
-    )
-    anti_windup = has_anti_windup(controller)
-    detector = EndDetector([vehicle] * len(near), time, True, [anti_windup] * len(near))
-    detector.update(0, np.moveaxis(responses.values, 0, 2))
-    times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
-    return utilisation(vehicle, replace(responses, values=responses.values[: len(bumps)]), anti_windup), times
-
-
-def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """Returns a bump with the loads on the body, if any."""
-    return RoadWithLoads(bump, loads) if loads else bump
+    progress: Callable[[int], None] = lambda done: None,
+) -> Predicted:
+    """Predicts the ends over bumps: from responses to a metre, to which all else is proportional, or from one of each bump."""
+    heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
+    proportional = not (vehicle.is_curved or loads)
+    for i, bump in enumerate(bumps):
+        members.setdefault(replace(bump, height=1.0) if proportional else loaded(bump, loads), []).append(i)
+    used, times = np.empty((2, len(bumps), len(REGIME_ENDS)))
+    travel, moves = np.empty(len(bumps)), [suspension.deflection for suspension in vehicle.kind.suspensions]
+    roads, done = list(members), 0
+    for start in range(0, len(roads), AT_ONCE):
+        some = roads[start : start + AT_ONCE]
+        responses = analysed(vehicle, controller, some, time)
+        for k, road in enumerate(some):
+            mine, run = members[road], responses.run(k)
+            factors = heights[mine] if proportional else np.ones(1)
+            both = [shares(vehicle, controller, replace(run, values=sign * run.values)) for sign in (1.0, -1.0)]
+            used[mine] = np.abs(factors)[:, None] * np.where(factors[:, None] > 0, both[0], both[1])
+            times[mine] = scaled_reached(vehicle, run, factors, has_anti_windup(controller))
+            travel[mine] = np.abs(factors) * max(float(run.peak(name)) for name in moves)
+            done += len(mine)
+        progress(done)
+    if not is_linear(vehicle, controller):
+        times[:, REGIME_ENDS.index(DAMPER)] = np.inf
+    return Predicted(used, first_end(times), times.min(axis=1), travel)

@@ -1,6 +1,7 @@
 """A map of validity in words, as JSON, as a table, and drawn so that it needs no explanation."""
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
+from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
@@ -23,22 +24,21 @@ from synth.controller.report import built_words
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """Writes a row per cell, in SI units; events that never happen are left empty."""
+    """Writes a row per cell, in SI units; events that never happen, and results of MuJoCo where it was not run, are empty."""
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        dampers = ("missing_force",) if np.isfinite(cells.missing).any() else ()
+        dampers = ("missing_force",) if _has_dampers(cells) else ()
         shares = (f"linear_share_of_{name}" for name in names)
-        writer.writerow([*UNITS, *columns, *shares, *dampers, "map_complete"])
-        for i, bump in enumerate(cells.bumps):
-            row = _cell(cells, i, threshold)
-            of_cell = [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()]
-            writer.writerow([*of_cell, *(row[name] for name in dampers), True])
+        writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
+        for row, used in zip(_cells(cells, threshold), cells.predicted.used.tolist(), strict=True):
+            of_cell = [*(row[name] for name in (*UNITS, *columns)), *used]
+            writer.writerow([*of_cell, *(row[name] for name in dampers), row["simulated"], True])
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
-    """The map as in JSON: SI units, None for what never happens."""
+    """The map as in JSON: SI units, None for what never happens, and for results of MuJoCo where it was not run."""
     return {
         "controller": controller,
         "axes": {axis.name: list(axis.values) for axis in axes},
@@ -47,9 +47,7 @@ def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, thr
         "unexplained": cells.unexplained,
         "done": len(cells.bumps),
         "complete": True,
-        "cells": [
-            {name: getattr(bump, name) for name in UNITS} | _cell(cells, i, threshold) for i, bump in enumerate(cells.bumps)
-        ],
+        "cells": _cells(cells, threshold),
     }
 
 
@@ -58,17 +56,25 @@ def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
     return {"loads": list(given)} if given else {}
 
 
-def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
-    return {
-        "error": finite(cells.error[i]),
-        "holds": bool(cells.error[i] <= threshold),
-        "broke_first": END_NAMES[cells.first[i]] if cells.first[i] >= 0 else None,
-        "at": finite(cells.time[i]),
-        "predicted": END_NAMES[cells.predicted[i]] if cells.predicted[i] >= 0 else None,
-        "predicted_at": finite(cells.predicted_time[i]),
-        "agrees": bool(cells.agrees[i]),
-        **({"missing_force": float(cells.missing[i])} if np.isfinite(cells.missing[i]) else {}),
-    }
+def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
+    """Returns a JSON object for each cell."""
+    rows = []
+    for i, bump in enumerate(cells.bumps):
+        row: dict[str, Any] = {name: getattr(bump, name) for name in UNITS}
+        row |= dict.fromkeys(("error", "holds", "broke_first", "at"))
+        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted.time[i]), "agrees": None}
+        row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
+        if (one := cells.driven.get(i)) is not None:
+            row |= {"error": finite(one.error), "holds": one.error <= threshold, "at": finite(one.time)}
+            row |= {"broke_first": END_NAMES[one.first] if one.first >= 0 else None, "agrees": i not in cells.others}
+            row |= {"missing_force": one.missing} if _has_dampers(cells) else {}
+        rows.append(row)
+    return rows
+
+
+def _has_dampers(cells: Cells) -> bool:
+    """Returns True if the vehicle has adjustable dampers."""
+    return any(math.isfinite(one.missing) for one in cells.driven.values())
 
 
 def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
@@ -86,35 +92,40 @@ def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     """Returns a map in lines for a terminal."""
 
-    def share(which: Array) -> str:
-        return f"{100 * which.mean():5.1f} % of the cells"
+    def share(share: float, of: str = "the cells") -> str:
+        return f"  {100 * share:5.1f} % of {of}"
 
-    lines = ["how far MuJoCo is from linear analysis:"]
-    lines.append(f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak")
-    lines += ["", "what breaks first in MuJoCo, or ends the linear regime:", f"  {share(cells.first < 0)}: nothing breaks"]
-    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first == i)]
-    if np.any(cells.first == END_NAMES.index(CURVE.name)):
+    analysis = "the analysis with its dampers" if cells.short else "linear analysis"
+    first, count, others = cells.predicted.first, len(cells.driven), len(cells.others)
+    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(np.mean(first < 0))}: nothing breaks"]
+    lines += [f"{share(np.mean(first == i))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
+    if np.any(first == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
-    if cells.ran_away.any():
-        lines.append(f"  {share(cells.ran_away)}: the law's own states run away until it asks for no finite force")
+    lines += ["", f"MuJoCo, run in {count} of {len(cells.bumps)} cells:"]
+    holds = cells.share(lambda one: one.error <= threshold)
+    lines.append(f"{share(holds, 'these')}: linear analysis holds to {threshold:g} of every peak")
+    if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
+        lines.append(f"{share(away, 'these')}: the law's own states run away until it asks for no finite force")
     if cells.short:
         lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
         lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
-    count = len(cells.bumps) - round(cells.agreement * len(cells.bumps))
-    others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
-    lines.append(
-        f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {cells.counted('cells')} "
-        f"break as {'the analysis with its dampers' if cells.short else 'linear analysis'} predicts{others}"
-    )
-    return lines
+    text = f"; of the other {others}, {cells.unexplained or 'none'} lies away from a boundary" if others else ""
+    text = f"{count - others} of {count} cells break as {analysis} predicts{text}"
+    if cells.ends:
+        agree = sum(end.confirmed for end in cells.ends.values())
+        text += (
+            f"; {agree} of {len(cells.ends)} ends along the edge are the predicted ones, within {_within(cells)} of the height"
+        )
+    return [*lines, f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {text}"]
+
+
+def _within(cells: Cells) -> str:
+    """Describes how near the runs that enclose an end are to its predicted height."""
+    return percent(math.ceil(1e3 * cells.furthest - 1e-6) / 1e3) if math.isfinite(cells.furthest) else "no height"
 
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING = "#dcefdc"
-RUNS: tuple[tuple[bool, str, Marker, str], ...] = (
-    (False, GREEN, "o", "MuJoCo: nothing breaks"),
-    (True, VERMILLION, "x", "MuJoCo: it ends"),
-)
 
 
 def envelope_figure(
@@ -126,7 +137,7 @@ def envelope_figure(
     threshold: float,
     loads: Sequence[Load] = (),
 ) -> Figure:
-    """Returns the map: colours show the first end in MuJoCo, the solid line its prediction, the dashed line the error threshold.
+    """Returns the map: colours show the predicted first end, the line where the regime ends, and markers what MuJoCo says.
 
     Args:
         cells: cells of the grid, the last axis running fastest.
@@ -153,61 +164,75 @@ def envelope_figure(
     colors = (NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
     nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(cells.first + 1), colors, (nothing, *first))
+    ground = Classes(x, y, plane(cells.predicted.first + 1), colors, (nothing, *first))
 
-    curves = []
-
-    used = plane(cells.used.max(axis=-1))
+    curves, used = [], plane(cells.predicted.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
         whose = "from responses with its curves" if vehicle.is_curved else whose
         whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
         curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
-    error = plane(np.clip(cells.error, threshold / 10, 10 * threshold))
-    if np.nanmin(error) < threshold < np.nanmax(error):
-        text = f"linear prediction off by {100 * threshold:g} % of a peak"
-        curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, VERMILLION, "dash", width=1.6))
-    wrong = ~cells.agrees
-    if np.any(wrong):
-        row, column = np.nonzero(plane(wrong))
-        curves.append(Curve(x[column], y[row], "another end than predicted", "#000000", "none", "x"))
-
+    places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
+    ends = {i: end for i, end in cells.ends.items() if end.end}
+    at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
+    curves += [Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D")] if at else []
+    curves += _markers(cells, places, threshold)
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
-    return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel, threshold)
+    return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel)
+
+
+ENCLOSED = "MuJoCo: two runs enclose the height of the end"
+
+
+def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
+    """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
+    within, kinds = f"{100 * threshold:g} % of a peak", dict[tuple[str, str, Marker], list[int]]()
+    for i, one in cells.driven.items():
+        kind: tuple[str, str, Marker] = ("nothing breaks", GREEN, "o")
+        if i in cells.others:
+            kind = ("another end than predicted", "#000000", "x")
+        elif one.end and one.error <= threshold:
+            kind = (f"it ends, linear analysis is within {within}", VERMILLION, "+")
+        elif one.end:
+            kind = (f"it ends, linear analysis is off by more than {within}", VERMILLION, "x")
+        kinds.setdefault(kind, []).append(i)
+    return [Curve(*places[mine].T, f"MuJoCo: {label}", color, "none", marker) for (label, color, marker), mine in kinds.items()]
 
 
 def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
     """Returns the title of a map; `rest` is what is not varied, in words."""
     which = "analysis with adjustable dampers" if cells.short else "linear analysis"
+    edge = f", and at {len(cells.ends)} ends, within {_within(cells)} of the predicted heights" if cells.ends else ""
     ends = (
         f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
     )
     return (
-        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. "
-        f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
+        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. Colours "
+        f"and line: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
+        f"{100 * cells.agreement:.4g} % {ends}{edge}"
     )
 
 
-def _figure(controller: Controller, cells: Cells, title: str, panel: Panel, threshold: float) -> Figure:
-    holds = float(np.mean(cells.error <= threshold))
-    finding = f"With {as_name(controller.name)} linear analysis holds for {percent(holds)} of these bumps."
+def _figure(controller: Controller, cells: Cells, title: str, panel: Panel) -> Figure:
+    holds = float(np.mean(cells.predicted.first < 0))
+    finding = f"With {as_name(controller.name)} nothing breaks over {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
 def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
     """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
-    x, used = np.array(axis.values), cells.used
+    x, used = np.array(axis.values), cells.predicted.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
         for i, end in enumerate(REGIME_ENDS)
         if np.any(used[:, i] > 0)
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
-    for broke, color, marker, label in RUNS:
-        mine = (cells.first >= 0) == broke
-        curves.append(Curve(x[mine], used[mine].max(axis=-1, initial=0.0), label, color, "none", marker))
+    if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
+        curves.append(Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D"))
+    curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1), threshold)
     panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
-    return _figure(controller, cells, title, panel, threshold)
+    return _figure(controller, cells, title, panel)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:

@@ -1,0 +1,69 @@
+"""Jumps of signals at the samples, where a held force changes, or the held coefficient of an adjustable damper.
+
+A run's signal at a sample is its value just after the jump, with the new force. Just before, it was less by D (u[k] - u[k-1]),
+with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, u jumps by
+-(c[k] - c[k-1]) v. A lagging force does not jump.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle
+
+
+class Jumps:
+    """Jumps of forces and accelerations, for N runs of one kind of vehicle, block by block."""
+
+    def __init__(self, vehicles: Sequence[Vehicle], signals: Sequence[str]) -> None:
+        """Prepares the jumps of some output signals."""
+        vehicle = vehicles[0]
+        index = {signal.name: i for i, signal in enumerate(vehicle.kind.signals)}
+        model, forces, outputs = vehicle.linear_model, vehicle.linear_model.inputs, vehicle.linear_model.outputs
+        dampers = {one.force: one for one in vehicle.adjustable}
+        self.coefficient = {force: index[one.coefficient] for force, one in dampers.items()}
+        self.shapes = {one.force: [other.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.adjustable)}
+        # Velocity of a damper's suspension: its share of every state, by place.
+        rows = {force: model.A[model.states.index(vehicle.kind.pushed(force))] for force in dampers}
+        self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
+        lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
+        if vehicle.limits.actuator_bandwidth is not None:
+            lagging |= set(forces) - set(dampers)
+        D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # (p, m, N)
+        # Jump of every signal per newton of each force, shape (N, 1).
+        self.shares = {
+            name: {
+                force: D[outputs.index(name), j][:, None]
+                for j, force in enumerate(forces)
+                if force not in lagging and np.any(D[outputs.index(name), j])
+            }
+            for name in signals
+        }
+        self.index = {force: index[force] for force in forces if any(force in shares for shares in self.shares.values())}
+        self.before: dict[int, Array] = {}  # last sample of the previous block, by place, shape (N, 1)
+
+    def __call__(self, values: Array) -> dict[str, Array]:
+        """Returns the jumps of each signal that jumps, shape (N, B), for the next block of signals, shape (B, S, N)."""
+        of_force = {force: self._jump(force, values) for force in self.index}
+        jumps = {}
+        for name, shares in self.shares.items():
+            for force, share in shares.items():
+                part = share * of_force[force]
+                jumps[name] = jumps[name] + part if name in jumps else part
+        return jumps
+
+    def _jump(self, force: str, values: Array) -> Array:
+        """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""
+        if force not in self.coefficient:
+            return self._change(self.index[force], values)
+        parts = [share * values[:, place].T for place, share in self.rates[force].items()]
+        shaped = [shape(v) for shape, v in zip(self.shapes[force], np.sum(parts, axis=0), strict=True)]
+        return -self._change(self.coefficient[force], values) * np.stack(shaped)
+
+    def _change(self, place: int, values: Array) -> Array:
+        """Returns the change of a signal since the last sample, shape (N, B)."""
+        now = values[:, place].T
+        last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
+        self.before[place] = now[:, -1:].copy()
+        return now - last

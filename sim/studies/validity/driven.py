@@ -1,0 +1,119 @@
+"""Bumps for a map of validity: by analysis, and in MuJoCo."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.roads.load import Load
+from models.roads.loaded import RoadWithLoads
+from models.roads.road import Road, RoadInput
+from models.vehicle.vehicle import Vehicle
+from sim.linear.dampers import is_linear, squarable
+from sim.linear.sampled_response import sampled_responses
+from sim.linear.switched_response import switched_response
+from sim.physics.run_blocks import runs_at_once
+from sim.physics.simulate import PhysicsRuns, simulate
+from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
+from sim.response.response import Response, difference
+from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.open_loop import LoopModel
+
+AT_ONCE = 32  # runs in a batch: more would wait for the longest
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Result of one MuJoCo run.
+
+    Attributes:
+        share: largest share of the way to an end.
+        first: first end as an index into `REGIME_ENDS`, -1 for none.
+        time: time of that end [s], infinite for none.
+        broke_off: reason why the run broke off, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it did not.
+        error: largest difference from the linear loop, without curves and adjustable dampers, of any signal's peak.
+        missing: rms of the forces that adjustable dampers did not give, over that of the requested ones at the samples; 0 if none
+            was requested, NaN without such dampers.
+    """
+
+    share: float
+    first: int
+    time: float
+    broke_off: str
+    error: float
+    missing: float
+
+    @property
+    def end(self) -> str:
+        """Returns the name of the first end, or the reason why the run broke off; empty for neither."""
+        return END_NAMES[self.first] if self.first >= 0 else self.broke_off
+
+
+def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
+    """Returns a bump with the loads on the body, if any."""
+    return RoadWithLoads(bump, loads) if loads else bump
+
+
+def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
+    """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
+    inputs = [RoadInput(vehicle, road, time) for road in roads]
+    if is_linear(vehicle, controller):
+        return sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
+    return switched_response(controller, inputs)
+
+
+def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
+    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E), without missing force of dampers."""
+    used = utilisation(vehicle, response, has_anti_windup(controller))
+    if not is_linear(vehicle, controller):
+        used[..., REGIME_ENDS.index(DAMPER)] = 0.0
+    return used
+
+
+def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) -> float:
+    """Returns the largest difference of a run from an analysis, of any output signal's peak; infinite if the run diverged."""
+    apart = float(np.abs(difference(physics, analysis.only(vehicle.linear_model.outputs)).values).max())
+    return math.inf if math.isnan(apart) else apart
+
+
+def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[Driven]:
+    """Runs controllers over roads in MuJoCo, each over so many samples or more."""
+    order = sorted(range(len(runs)), key=lambda i: runs[i][2])
+    at_once = min(AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
+    results = dict[int, Driven]()
+    for chunk in np.array_split(order, math.ceil(len(runs) / at_once)) if runs else ():
+        controllers, roads, samples = zip(*(runs[i] for i in chunk), strict=True)
+        until = time[: max(samples)]
+        physics = simulate(controllers, [RoadInput(vehicle, road, until) for road in roads], threads=0)
+        results |= zip(chunk.tolist(), _results(vehicle, controllers, roads, physics), strict=True)
+    return [results[i] for i in range(len(runs))]
+
+
+def _results(
+    vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], physics: PhysicsRuns
+) -> Iterator[Driven]:
+    """Yields the results of runs."""
+    line, time = vehicle.linearised, physics.response.time
+    loops = {id(one): LoopModel(line, one, float(time[1])) for one in controllers}
+    for i, (controller, road) in enumerate(zip(controllers, roads, strict=True)):
+        response, diverged = physics.response.run(i), float(physics.diverged[i])
+        times, missing = reached(vehicle, response, has_anti_windup(controller)), math.nan
+        if not is_linear(vehicle, controller):
+            times[REGIME_ENDS.index(DAMPER)] = np.inf
+        if vehicle.adjustable:
+            lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.adjustable]))
+            requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.adjustable]) + lost) ** 2)
+            missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
+        ended = float(times.min()) < diverged
+        broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if physics.ran_away[i] else DIVERGENCE
+        linear = sampled_responses(loops[id(controller)], [RoadInput(line, road, time)]).run(0)
+        yield Driven(
+            float(np.nanmax(shares(vehicle, controller, response))),
+            int(first_end(times)) if ended else -1,
+            float(times.min()) if ended else math.inf,
+            broke_off,
+            largest_difference(vehicle, response, linear),
+            missing,
+        )
