@@ -24,7 +24,7 @@ class Jumps:
         dampers = {one.force: one for one in vehicle.adjustable}
         self.coefficient = {force: index[one.coefficient] for force, one in dampers.items()}
         self.shapes = {one.force: [other.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.adjustable)}
-        # Velocity of a damper's suspension: its share of every state, by place.
+        # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
         rows = {force: model.A[model.states.index(vehicle.kind.pushed(force))] for force in dampers}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}

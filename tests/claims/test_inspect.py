@@ -146,7 +146,7 @@ def test_drive(log_of, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b'"definitions": 5', b'"definitions": 1', "its metrics are of other definitions; the version that wrote the log"),
+        (b'"definitions": 6', b'"definitions": 1', "its metrics are of other definitions; the version that wrote the log"),
         (b'"settled": {"share": 0.', b'"settled": {"share": 1.', "result.json says otherwise: settled.share"),
         (b'"expected": 0.', b'"expected": 1.', "result.json says otherwise: metrics."),
     ],

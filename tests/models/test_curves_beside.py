@@ -9,7 +9,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import parse_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.models.test_semi_active_dampers import BUMP, DAMPER, LATE, QUARTER
+from tests.models.test_semi_active_dampers import BUMP, DAMPER, LATE, QUARTER, check_physics
 from tests.support.commands import attacks, refused
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE
 
@@ -34,17 +34,6 @@ def runs(text, *names, road=BUMP, duration=1.0):
     laws = {name: entry.semi_active for name, entry in vehicle.controllers.items() if entry.semi_active}
     controllers = [SemiActive(name, laws[name]) if name in laws else Designer(vehicle).design(name) for name in names]
     return run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, 1e-3))
-
-
-def check_physics(run):
-    """A run agrees to rounding, and its dampers dissipate energy at every sample."""
-    assert run.passed
-    assert run.agreement.steps is not None
-    assert run.agreement.commands is not None
-    assert max(run.agreement.steps.error, run.agreement.commands.error) < 1e-10
-    assert run.energy is not None
-    assert run.energy.least is not None
-    assert run.energy.least >= 0.0
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,8 @@ from sim.physics.driver import RecordedForces
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from synth.vehicle.designer import Designer
-from tests.models.test_curves_beside import FRICTION, ROUGH, check_physics, runs, with_tables
-from tests.models.test_semi_active_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
+from tests.models.test_curves_beside import FRICTION, ROUGH, runs, with_tables
+from tests.models.test_semi_active_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER, check_physics
 from tests.support.analysed import simulate
 from tests.support.commands import attacks, refused
 

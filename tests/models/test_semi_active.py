@@ -13,8 +13,7 @@ from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.runs.report import controller_lines, controller_object, verdict
 from sim.runs.run import run_controllers, sample_times
-from tests.models.test_curves_beside import check_physics
-from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER
+from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER, check_physics
 from tests.support.analysed import simulate
 from tests.support.commands import attacks
 
