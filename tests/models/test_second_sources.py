@@ -174,7 +174,7 @@ def over_time(load, t):
 def test_loads_are_their_forces_with_levers(load, forces):
     """A load is the sum of its forces and moments, nose down and right side down, over time and held over steps."""
     given = RoadInput(CAR, RoadWithLoads(Flat(V), (load,)), TIME)
-    moments = sum(np.cross(place, force) for place, force in forces)
+    moments = np.sum([np.cross(place, force) for place, force in forces], axis=0)
     whole = np.array([sum(force[2] for _, force in forces), moments[1], moments[0]])
     assert [one.name for one in CAR.kind.loads] == ["heave_load", "pitch_load", "roll_load"]
     np.testing.assert_allclose(given.loads, np.outer(over_time(load, TIME), whole), rtol=0, atol=1e-9)
