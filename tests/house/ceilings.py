@@ -56,8 +56,8 @@ loads, links, tyre damping                                      814   1557     5
 measured roads, rigs, OpenCRG, IRI                             1082    977      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1674    613     91
-    models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py tests/models/test_roads.py
-    docs/how-to/custom-roads.md
+    models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
+    tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md

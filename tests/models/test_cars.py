@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.kinds.kind import GRAVITY
 from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -90,21 +89,6 @@ def test_linearisation_is_the_hand_derived_one(car, index):
     np.testing.assert_allclose(X_v @ qacc_derivative("ctrl", model.nu), linear.B, atol=1e-7 * np.abs(linear.B).max())
     count = len(vehicle.kind.wheels)
     np.testing.assert_allclose(X_v @ qacc_derivative("road", count), linear.A @ linear.Bw + linear.Br, **tolerance)
-
-
-def test_rest_is_equilibrium_with_the_true_axle_loads(car):
-    """At rest nothing accelerates, and the tyres carry the whole weight, each axle its share by the lever rule."""
-    model, p = build_model(car, 1e-3), car.parameters
-    _, qacc = signals_of(car, model, np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nu), np.zeros(len(car.kind.wheels)))
-    assert np.abs(qacc).max() < 1e-9  # m/s2, rad/s2; measured 1e-13
-    loads = {name: deflection * p[f"tyre_stiffness_{name.split('_')[2]}"] for name, deflection in
-             car.kind.static_tyre_deflection(p).items()}  # fmt: skip
-    wheels_per_axle = len(loads) // 2
-    front = sum(load for name, load in loads.items() if "front" in name)
-    wheelbase = p["axle_distance_front"] + p["axle_distance_rear"]
-    expected = p["sprung_mass"] * GRAVITY * p["axle_distance_rear"] / wheelbase
-    expected += wheels_per_axle * p["unsprung_mass_front"] * GRAVITY
-    assert front == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["quarter_car", *CARS])
@@ -243,20 +227,6 @@ def test_full_car_on_equal_tracks_is_a_half_car():
         for name in half.linear_model.outputs:
             corner = f"{name}_left" if name.endswith(("_front", "_rear")) else name
             assert np.abs(whole[corner] - part[name]).max() <= tolerance * part.scale(name)
-
-
-def test_rear_wheels_follow_the_front_ones(car):
-    """The rear wheels meet the road later, by wheelbase over speed, and a bump under the left ones leaves the right flat."""
-    time, p = sample_times(car, 1.0, 1e-3), car.parameters
-    road = Bump(speed=10.0)
-    delay = (p["axle_distance_front"] + p["axle_distance_rear"]) / road.speed
-    response = sampled_response(car, Designer(car).design("passive"), road, time)
-    side = "_left" if car.kind.name == "full_car" else ""
-    np.testing.assert_allclose(response[f"road_displacement_rear{side}"], road.displacement(time - delay), atol=1e-15)
-    if side:
-        left = sampled_response(car, Designer(car).design("passive"), Bump(track="left"), time)
-        assert not np.any(left["road_displacement_front_right"])
-        assert np.any(left["road_displacement_front_left"])
 
 
 @pytest.mark.parametrize(

@@ -203,21 +203,6 @@ def test_uneven_profile(capsys):
     assert 1.03 < smooth.iri / 3.95 < 1.12  # a cubic swings between points
 
 
-def test_smooth_meets_the_points():
-    """A smooth profile meets its points from the plane on, without a kink at its ends, and has the integral of its velocity."""
-    x, z = points(0.0, 0.02)
-    straight, smooth = Profile(x, z, V), Profile(x, z, V, join="smooth")
-    t = (x - x[0]) / V
-    for side in ("", "left", "right"):
-        assert smooth.displacement(t, side) == pytest.approx(straight.displacement(t, side), abs=1e-12)
-        for end in (0.0, smooth.duration):
-            before, after = smooth.velocity(np.array([end - 1e-9, end + 1e-9]), side)
-            assert before == pytest.approx(after, abs=1e-6 * V)  # the slope's change over 1e-9 s
-    middle, h = (t[1:] + t[:-1]) / 2, 1e-6
-    rate = (smooth.displacement(middle + h) - smooth.displacement(middle - h)) / (2 * h)
-    assert rate == pytest.approx(smooth.velocity(middle), abs=1e-6 * V)  # h^2 and rounding over h
-
-
 @pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
 def test_many_kinks_are_those_of_few(kind, monkeypatch):
     """The exact response over many kinks, preview and tyres that damp included, is that of one kink after the other."""
