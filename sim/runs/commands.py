@@ -102,15 +102,18 @@ def compare_commands(controller: Law, road: RoadInput, physics: Response, comman
     y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
     samples = _Samples(due, period, y, velocities, _states_as_run(controller, commanded.states[due], period * h))
     late = 0 if coded else round(how.delay * period)
-    readings, answers = [*_readings(controller, road, physics, commanded, due)], []
-    for repetition in range(3 if isinstance(controller, Programmed) else 1):
-        if repetition == 2:  # a function that does not forget its last run answers otherwise after half of it
-            _again(controller, road, replace(samples, due=due[: len(due) // 2]))
-        answers.append([*_commands(controller, road, samples, commanded, count, late)])
-        if (result := _worst([*readings, *answers[-1]], vehicle)).agrees:
-            return result
-    if len(answers) > 1 and any(np.any(a[2] != b[2]) for a, b in zip(*answers[-2:], strict=True)):
-        return CommandAgreement(**{**vars(_worst(readings, vehicle)), "repeatable": False})
+    readings = [*_readings(controller, road, physics, commanded, due)]
+
+    def answer() -> list[Difference]:
+        return [*_commands(controller, road, samples, commanded, count, late)]
+
+    result = _worst([*readings, *answer()], vehicle)
+    if result.agrees or not isinstance(controller, Programmed):
+        return result
+    once = answer()
+    _again(controller, road, replace(samples, due=due[: len(due) // 2]))  # leaves a function that keeps its state at another one
+    if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
+        return replace(_worst(readings, vehicle), repeatable=False)
     return result
 
 
@@ -180,8 +183,6 @@ def _commands(
 
 def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple[Array, Array, tuple[Array, Array]]:
     """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains."""
-    from models.suspension.damper_range import range_of
-
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law, inputs = controller.law.sampled(samples.period * h), vehicle.linear_model.inputs
     forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
@@ -194,6 +195,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     closing = samples.closing if vehicle.dampers else None
     if law.anti_windup is not None:
         from models.laws.anti_windup import anti_windup_gain
+        from models.suspension.damper_range import range_of
 
         of, gain = range_of([vehicle.adjustable], inputs, [vehicle.limits.actuator_force]), anti_windup_gain(law)
         after = after + of.clipped_off(forces, closing) @ gain.T
@@ -201,6 +203,8 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
     if closing is None:
         return forces, slack, states
+    from models.suspension.damper_range import range_of
+
     of = range_of([vehicle.adjustable], inputs)
     speed = np.abs(of.effective_velocity(closing))
     commands = of.commands(np.concatenate([forces, closing], axis=1))
