@@ -197,10 +197,7 @@ def test_a_wrong_road_is_found(kind, wrong, regime):
     assert not run.agreement.step_by_step
 
 
-LAWS = [
-    ("linear", "law"),
-    *attacks([("saturation", "law"), ("semi-active", "sky"), ("linear", "python"), ("semi-active", "law")]),
-]
+LAWS = [("saturation", "law"), ("semi-active", "sky"), ("semi-active", "law"), ("linear", "python")]
 HOW = {
     "delay": {"delay": 3},
     "no noise": {"noise": {}},
@@ -219,17 +216,19 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
         name: faulty(clean, dataclasses.replace(vehicle, implementation=dataclasses.replace(vehicle.implementation, **how)))
         for name, how in HOW.items()
     }
-    step = Computer.step
+    step, at = Computer.step, []
 
     def one_late(self, k, signals, commands):
         before = commands.copy()
         step(self, k, signals, commands)
-        if 100 <= k < 104:
+        if k >= 100 and not at and np.any(commands != before):
+            at.append(k)
+        if at and k < at[0] + 4:
             commands[:] = before
 
     monkeypatch.setattr(Computer, "step", one_late)
     runs["one command"] = faulty(clean)
-    assert runs["one command"].agreement.commands.since == pytest.approx(0.1)
+    assert runs["one command"].agreement.commands.since == clean.physics.time[at[0]]
     for name, run in runs.items():
         assert changed(run, clean), name
         assert not run.agreement.commanded, name
