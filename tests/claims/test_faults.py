@@ -30,14 +30,14 @@ from tests.support.faults import Fault, built_with, miswritten, places, scaled
 from tests.support.pairs import CORNERS, VELOCITIES
 
 KINDS = ("quarter_car", "half_car", "full_car")
-FORCE = "[limits]\nactuator_force = 400.0\nactuator_bandwidth = 60.0\n"
+FORCE = "[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"
 STOPS = "[limits]\nsuspension_stroke = { bump = 0.03, rebound = 0.035 }\nstop_stiffness = [4e4, 2e6, 3e8]\n"
 VALVE = '[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 4000.0\nbandwidth = 100.0\n'
 REGIMES = {  # a road, a controller, and sections of the vehicle file
     "linear": (Bump(0.03), "law", ""),
     "lift-off": (Bump(0.2, speed=20.0), "passive", ""),
-    "stops": (Bump(0.12, speed=8.0), "passive", STOPS),
-    "saturation": (Bump(0.1), "law", FORCE),
+    "stops": (Bump(0.12, length=3.0, speed=15.0), "passive", STOPS),
+    "saturation": (Bump(0.1, length=3.0, speed=15.0), "law", FORCE),
     "semi-active": (Bump(0.06), "sky", VALVE),
     "curves": (Bump(0.06), "passive", ""),
 }
