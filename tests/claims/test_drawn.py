@@ -16,26 +16,21 @@ from tests.models.test_loads import road_of
 from tests.models.test_vehicle_options import LINKS
 from tests.support.pairs import CORNERS, FILES, VELOCITIES
 
-TYPES = ("quarter_car", "half_car", "full_car")
-MASSES = (75.0, 12500.0)  # kg, sprung and unsprung, of one corner
-STEPS = (1e-4, 1e-2)  # s
 SAMPLES = 1500  # of a run, at most
 SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
 LAWS = ("passive", "gain", "states", "accelerometer", "pid", "lqr", "preview", "python")
 
 
 class Drawing:
-    """Random numbers of one vehicle."""
+    """Random numbers of one vehicle, with four digits: uniform, or uniform in their logarithm."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng([seed, 48])
 
     def number(self, low: float, high: float) -> float:
-        """A number with four digits, uniform."""
         return float(f"{self.rng.uniform(low, high):.4g}")
 
     def scale(self, low: float, high: float) -> float:
-        """A number with four digits, uniform in its logarithm."""
         return float(f"{np.exp(self.rng.uniform(np.log(low), np.log(high))):.4g}")
 
     def chance(self, share: float) -> bool:
@@ -56,12 +51,12 @@ class Drawing:
 
 
 def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
-    """A vehicle, the name of its controller, a road with loads as text, the speed over it [m/s], and the timestep [s]."""
+    """A vehicle, the name of its controller, a road with loads as text, the speed over it [m/s], and a stable timestep [s]."""
     draw = Drawing(seed)
-    kind = TYPES[seed % len(TYPES)]
+    kind = list(CORNERS)[seed % 3]
     corners, body = CORNERS[kind], VELOCITIES[kind][0]
     axles = list(dict.fromkeys(corner.removesuffix("_left").removesuffix("_right") for corner in corners))
-    whole, step = draw.scale(*MASSES), draw.scale(*STEPS)
+    whole, step = draw.scale(75.0, 12500.0), draw.scale(1e-4, 1e-2)  # kg of a corner, s
     wheel = whole * draw.number(0.04, 0.25)
     mass = whole - wheel
     parameters, curves, limits = {"sprung_mass": mass * len(corners)}, {}, {}
@@ -80,15 +75,14 @@ def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
             else:
                 parameters[f"suspension_{name}{axle}"] = value
     if kind != "quarter_car":
-        front, rear = draw.number(1.0, 2.5), draw.number(1.0, 2.5)
-        inertia = parameters["sprung_mass"] * front * rear
-        parameters |= {"axle_distance_front": front, "axle_distance_rear": rear, "pitch_inertia": inertia * draw.number(0.7, 1.2)}
+        front, rear = (parameters.setdefault(f"axle_distance{axle}", draw.number(1.0, 2.5)) for axle in axles)
+        parameters["pitch_inertia"] = parameters["sprung_mass"] * front * rear * draw.number(0.7, 1.2)
     if kind == "full_car":
         track = draw.number(1.2, 2.2)
         parameters |= {"track": track, "roll_inertia": parameters["sprung_mass"] * track**2 / 4 * draw.number(0.4, 1.0)}
     weight = 9.81 * mass
     if draw.chance(0.4):
-        limits |= {"suspension_stroke": draw.number(0.02, 0.1)}
+        limits["suspension_stroke"] = draw.number(0.02, 0.1)
         limits["stop_stiffness"] = [draw.number(1, 10) * k, 0.0, draw.one_of(0.0, 1e3) * k]
     if draw.chance(0.3) and not damps:
         limits["actuator_force"] = draw.scale(0.01, 0.3) * weight
@@ -97,15 +91,13 @@ def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
     law = draw.one_of(*SEMI_ACTIVE, "gain", "states", "python") if damps else draw.one_of(*LAWS)
     deflections = [f"suspension_deflection{corner}" for corner in corners]
     sky, measured = -draw.number(0.1, 1.0) * 2 * math.sqrt(k * mass), [body, *deflections]
-    spring = draw.number(-0.1, 0.2) * k
-    gain = [[sky, *(spring * (i == j) for j in range(len(corners)))] for i in range(len(corners))]
-    states = f"A = [[-2.0]]\nB = [[1.0{', 0.0' * len(corners)}]]\nC = {[[sky]] * len(corners)}\n"
+    rows, nothing = [[sky]] * len(corners), [[0.0]] * len(corners)
+    gain = [[sky, *row] for row in (draw.number(-0.1, 0.2) * k * np.eye(len(corners))).tolist()]
     acceleration = "sprung_acceleration" if kind == "quarter_car" else "heave_acceleration"
     sections = {
         "gain": f"measured = {measured}\ngain = {gain}",
-        "states": f"measured = {measured}\n{states}D = {gain}",
-        "accelerometer": f'measured = ["{acceleration}"]\nA = [[-1.0]]\nB = [[1.0]]\nC = {[[sky]] * len(corners)}\n'
-        f"D = {[[0.0]] * len(corners)}",
+        "states": f"measured = {measured}\nA = [[-2.0]]\nB = [[1.0{', 0.0' * len(corners)}]]\nC = {rows}\nD = {gain}",
+        "accelerometer": f'measured = ["{acceleration}"]\nA = [[-1.0]]\nB = [[1.0]]\nC = {rows}\nD = {nothing}',
         "pid": f"measured = {deflections}\npid = {{ kp = {-0.1 * k}, ki = {-0.1 * k}, kd = {0.2 * sky}, filter = 0.05 }}",
         "lqr": 'design = "lqr"',
         "preview": f'design = "preview"\npreview = {draw.number(0.02, 0.2)}',
@@ -151,19 +143,31 @@ def road(draw: Drawing, kind: str, mass: float) -> tuple[str, float]:
         f"sine:frequency={draw.number(1, 15)}",
         "flat",
     )
-    loads = {
-        "payload": f"payload:mass={draw.number(0.02, 0.3) * mass:.4g}:start=0.05",
-        "brake": f"brake:g={draw.number(-0.3, 0.5)}:start=0.05",
-        "corner": f"corner:g={draw.number(0.05, 0.4)}:start=0.05",
-        "gust": f"gust:force={draw.number(0.05, 0.3) * 9.81 * mass:.4g}:start=0.05:rise=0.1:hold=0.1",
-    }
-    felt = {"quarter_car": 1, "half_car": 2, "full_car": 4}[kind]
-    some = [one for one in list(loads.values())[:felt] if draw.chance(0.25 if text != "flat" else 0.7)]
+    loads = (
+        f"payload:mass={draw.number(0.02, 0.3) * mass:.4g}:start=0.05",
+        f"brake:g={draw.number(-0.3, 0.5)}:start=0.05",
+        f"corner:g={draw.number(0.05, 0.4)}:start=0.05",
+        f"gust:force={draw.number(0.05, 0.3) * 9.81 * mass:.4g}:start=0.05:rise=0.1:hold=0.1",
+    )
+    some = [one for one in loads[: len(CORNERS[kind])] if draw.chance(0.25 if text != "flat" else 0.7)]
     return " + ".join([text, *some]), speed
 
 
 def driven(seed: int, folder: Path) -> Run:
-    """The run of a drawn vehicle; its timestep is halved until RK4 is stable on the vehicle."""
+    """The run of a drawn vehicle, for half a second or less."""
     vehicle, name, text, speed, step = drawn(seed, folder)
     time = sample_times(vehicle, min(0.6, SAMPLES * step), step)
     return run_controllers(vehicle, [driver_of(vehicle, name)], road_of(text, vehicle, speed), time)[0]
+
+
+# Noisy runs with energy that RK4 loses on stops and in the air; a law in Python over a random road; a step that is too coarse.
+FEW = (10, 39, 50, 109, 172, 224)
+
+
+@pytest.mark.parametrize("seeds", [FEW, *attacks([range(60)])], ids=["few", "many"])
+def test_no_correct_vehicle_is_called_wrong(seeds, tmp_path):
+    """Every run of a correct vehicle passes. Of seeds 0 to 499, all do; CI draws the first 60."""
+    runs = {seed: driven(seed, tmp_path) for seed in seeds}
+    wrong = {seed: (verdict(run), verdict_lines(run), run.energy) for seed, run in runs.items() if not run.passed}
+    assert not wrong
+    assert sum(bool(run.agreement.lift_off) for run in runs.values()) > len(runs) / 10

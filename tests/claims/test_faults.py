@@ -30,14 +30,14 @@ from tests.support.faults import Fault, built_with, miswritten, places, scaled
 from tests.support.pairs import CORNERS, VELOCITIES
 
 KINDS = ("quarter_car", "half_car", "full_car")
-FORCE = "[limits]\nactuator_force = 400.0\nactuator_bandwidth = 60.0\n"
+FORCE = "[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"
 STOPS = "[limits]\nsuspension_stroke = { bump = 0.03, rebound = 0.035 }\nstop_stiffness = [4e4, 2e6, 3e8]\n"
 VALVE = '[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 4000.0\nbandwidth = 100.0\n'
 REGIMES = {  # a road, a controller, and sections of the vehicle file
     "linear": (Bump(0.03), "law", ""),
     "lift-off": (Bump(0.2, speed=20.0), "passive", ""),
-    "stops": (Bump(0.12, speed=8.0), "passive", STOPS),
-    "saturation": (Bump(0.1), "law", FORCE),
+    "stops": (Bump(0.12, length=3.0, speed=15.0), "passive", STOPS),
+    "saturation": (Bump(0.1, length=3.0, speed=15.0), "law", FORCE),
     "semi-active": (Bump(0.06), "sky", VALVE),
     "curves": (Bump(0.06), "passive", ""),
 }
@@ -197,10 +197,7 @@ def test_a_wrong_road_is_found(kind, wrong, regime):
     assert not run.agreement.step_by_step
 
 
-LAWS = [
-    ("linear", "law"),
-    *attacks([("saturation", "law"), ("semi-active", "sky"), ("linear", "python"), ("semi-active", "law")]),
-]
+LAWS = [("saturation", "law"), ("semi-active", "sky"), ("semi-active", "law"), ("linear", "python")]
 HOW = {
     "delay": {"delay": 3},
     "no noise": {"noise": {}},
@@ -219,17 +216,19 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
         name: faulty(clean, dataclasses.replace(vehicle, implementation=dataclasses.replace(vehicle.implementation, **how)))
         for name, how in HOW.items()
     }
-    step = Computer.step
+    step, at = Computer.step, []
 
     def one_late(self, k, signals, commands):
         before = commands.copy()
         step(self, k, signals, commands)
-        if 100 <= k < 104:
+        if k >= 100 and not at and np.any(commands != before):
+            at.append(k)
+        if at and k < at[0] + 4:
             commands[:] = before
 
     monkeypatch.setattr(Computer, "step", one_late)
     runs["one command"] = faulty(clean)
-    assert runs["one command"].agreement.commands.since == pytest.approx(0.1)
+    assert runs["one command"].agreement.commands.since == clean.physics.time[at[0]]
     for name, run in runs.items():
         assert changed(run, clean), name
         assert not run.agreement.commanded, name

@@ -5,17 +5,16 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import linalg
 
-from models.laws.linear import static_law
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
-from synth.vehicle.designer import Designer, certify_given
-from tests.support.analysed import continuous_response, most_quantised, noise_rms, sampled_radius, sampled_response, simulate
+from synth.vehicle.designer import Designer
+from tests.support.analysed import continuous_response, sampled_radius, sampled_response, simulate
 from tests.support.commands import refused
 
 
@@ -96,110 +95,17 @@ def test_noise_has_its_predicted_variance(paper, designer):
     np.testing.assert_array_equal(again.values[0], response.values[0])  # the seed fixes it
 
 
-def test_noise_of_what_symmetry_keeps_silent():
-    """A full car's gains are symmetric to eight digits, so noise on heave makes it roll: hardly, and as much as is predicted."""
-    car = with_reality(read_vehicle("full_car"), None, Implementation(noise={"heave_velocity": 0.005}))
-    controller, time = Designer(car).design("I"), sample_times(car, 3.0, 2e-3)
-    spread = stationary(car, controller, 2e-3)
-    assert 0 < spread["roll_rate"] < 1e-6 * spread["heave_velocity"]
-    predicted = sampled_response(car, controller, Bump(height=0.0), time)
-    assert predicted.peak("roll_rate") == 0
-    (run,) = run_controllers(car, [controller], Bump(), time)
-    assert run.agreement.agrees  # within six of those standard deviations, roll too
-
-
-def test_noise_and_geometry_together():
-    """If noise is small beside what turning makes, that is told from error as it is without noise."""
+def test_noise_and_geometry_are_causes():
+    """If a run has noise and geometry, both are named as causes of its distance from linear analysis; it agrees."""
     half = with_reality(read_vehicle("half_car"), None, Implementation(noise={"heave_velocity": 1e-7}))
     (run,) = run_controllers(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
-    assert run.agreement.agrees
-    line, steps = verdict_lines(run)
-    assert line.startswith("agrees to first order throughout: geometry and noise make up to")
+    assert run.passed
+    *_, steps, commands, distance = verdict_lines(run)
     assert steps.startswith(
-        "agrees step by step throughout: each step of MuJoCo is that of the vehicle's nonlinear equations of motion to"
+        "every MuJoCo step equals one RK4 step of the vehicle's nonlinear equations from the same state throughout"
     )
-    assert "exact" not in line
-
-
-def stationary(vehicle, controller, step):
-    """Returns what the rms of every output comes to under noise, the largest of any timestep of a sample."""
-    last = noise_rms(vehicle, controller, step, 20_000)[-100:].max(axis=0)
-    return dict(zip(vehicle.linear_model.outputs, last.tolist(), strict=True))
-
-
-@pytest.mark.parametrize(("gain", "held"), [(-2000.0, 1), (9000.0, 1), (-2000.0, 5)])
-def test_rms_from_rest_is_the_covariance_step_by_step(paper, gain, held):
-    """At every timestep it is that of the covariance, whether the loop decays or grows, and while a force is held over steps."""
-    vehicle = with_reality(paper, None, Implementation(sample_period=held * 2e-3, noise={"sprung_velocity": 0.01}))
-    controller = certify_given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
-    found = noise_rms(vehicle, controller, 2e-3, 400)
-    model = vehicle.linear_model
-    augmented = np.zeros((5, 5))  # of the state and the held force
-    augmented[:4] = np.hstack([model.A, model.B])
-    step, sampled = linalg.expm(2e-3 * augmented), np.eye(5)
-    sampled[4] = [*controller.state_gain(vehicle)[0], 0.0]
-    grows = np.abs(np.linalg.eigvals(np.linalg.matrix_power(step, held) @ sampled)).max() > 1
-    assert grows == (gain > 0)
-    rows, P = np.hstack([model.C, model.D]), np.zeros((5, 5))
-    for k, row in enumerate(found):
-        if k % held == 0:
-            P = sampled @ P @ sampled.T
-            P[4, 4] += (0.01 * gain) ** 2
-        np.testing.assert_allclose(row**2, np.diag(rows @ P @ rows.T), rtol=1e-9)  # the same sums, otherwise put
-        P = step @ P @ step.T
-
-
-@pytest.mark.parametrize(
-    "how", [Implementation(), Implementation(sample_period=0.01), Implementation(sample_period=6e-3, delay=2)]
-)
-def test_the_worst_rounding_is_the_sum_of_what_every_sample_does(paper, how):
-    """The largest effect of quantisation is half a resolution times the sum of |h|, where noise of that size makes the sum of
-    h^2."""
-    quantised = with_reality(paper, None, dataclasses.replace(how, quantisation={"sprung_velocity": 0.002}))
-    noisy = with_reality(paper, None, dataclasses.replace(how, noise={"sprung_velocity": 0.001}))
-    controller = certify_given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
-    steps = round((how.sample_period or 2e-3) / 2e-3)
-    most = most_quantised(quantised, controller, 2e-3, 200)[::steps]
-    rms = noise_rms(noisy, controller, 2e-3, 200)[::steps]
-    of_each = np.sqrt(np.maximum(np.diff(rms**2, axis=0), 0.0))  # beside what a sample does at once, the same in all of them
-    np.testing.assert_allclose(most[1:], rms[0] + np.cumsum(of_each, axis=0), rtol=1e-6)  # differences of sums lose digits
-
-
-@pytest.mark.parametrize(("gain", "resolution"), [(-2000.0, 1e-3), (-20000.0, 0.02), (1500.0, 1e-3)])
-def test_no_rounding_moves_a_signal_further_than_is_said(paper, gain, resolution):
-    """A quantised loop stays within the bound of the one that is not, with a dead zone that no white noise has, and unstable."""
-    vehicle = with_reality(paper, None, Implementation(quantisation={"sprung_velocity": resolution}))
-    controller = certify_given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
-    for run in run_controllers(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 2.0, 1e-3)):
-        off = {name: one.sampled / one.allowed for name, one in run.agreement.signals.items()}
-        assert run.agreement.agrees
-        assert max(off.values()) > 1e-3, "and it is a bound that is seen"
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("implementation", [Implementation(sample_period=0.04, delay=delay) for delay in (1, 0.3)])
-def test_noise_between_samples(implementation):
-    """Between the samples of a slow controller noise moves wheels by more than at them, at every step by what is predicted."""
-    runs, step, rms = 100, 4e-3, 1e-5  # m/s: small, so that turning makes nothing
-    half = read_vehicle("half_car")
-    controller, noise = Designer(half).design("II"), {"heave_velocity": rms, "pitch_rate": rms}
-    vehicles = [with_reality(half, None, dataclasses.replace(implementation, noise=noise, seed=seed)) for seed in range(runs)]
-    predicted = noise_rms(vehicles[0], controller, step, 20_000)[-10:]  # a period, from its sample on
-    time = sample_times(half, 2.4, step)  # the slowest mode has e^-14 of its variance to come
-    response = simulate(vehicles, [controller] * runs, [Bump(height=0.0)] * runs, time).response
-    last = (len(time) - 1) // 10 * 10 - 10  # the first step of the last whole period
-    names = half.linear_model.outputs
-    measured = np.stack([np.mean(response[name][:, last : last + 10] ** 2, axis=0) for name in names], axis=-1)
-    # Runs are independent, so such a mean square is a chi-square of as many degrees, and all lie within its quantiles but once in
-    # a million tests, whatever they share.
-    low, high = stats.chi2.ppf([5e-7 / predicted.size, 1 - 5e-7 / predicted.size], runs) / runs
-    assert np.all(measured >= low * predicted**2)
-    assert np.all(measured <= high * predicted**2)
-    spread = stationary(vehicles[0], controller, step)
-    larger = spread["unsprung_velocity_front"] / predicted[0, names.index("unsprung_velocity_front")]
-    assert larger > (2 if implementation.delay % 1 == 0 else 1.1)  # measured: 3, and 1.13
-    (run,) = run_controllers(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
-    assert run.agreement.agrees
+    assert commands.startswith("every command equals the control law evaluated on the run's measurements: largest difference ")
+    assert distance.endswith(" throughout of the exact sampled response; the cause is geometry and noise")
 
 
 def lyapunov_rms(vehicle, controller, step, noise):
