@@ -1,4 +1,4 @@
-"""What a simulation asks of every controller, with the answers of one without states, preview, or delay of its own."""
+"""Properties of a controller that a simulation needs; defaults are those of a law without states, preview and own delay."""
 
 
 class ControlLaw:
