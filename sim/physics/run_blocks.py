@@ -278,15 +278,15 @@ class _Loop:
         now, midway = course.now[:, runs], course.midway[:, runs]
         felt, of_reading = readout.felt or fresh, self._map(actuators)
         controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
-        qpos, qvel, activations = batch.bind("qpos"), batch.bind("qvel"), batch.bind("act")
+        nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
+        motion, activations = batch.state[:, 1 : 1 + moved], batch.bind("act")  # (qpos, qvel) after the time
         measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
         batch.forward(stage=stage)
-        nq, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], of_reading.shape[2]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
-        periods = {one.period for one in (*computers, *undelayed)}
+        sampled = {k for one in (*computers, *undelayed) for k in range(0, course.edges[-1], one.period)}
         names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))
         states = max((one.used.shape[1] for one in computers), default=0)
         for start, end in itertools.pairwise(course.edges):
@@ -302,23 +302,22 @@ class _Loop:
             for i in range(length):
                 if stopped():
                     return
-                k, reading = start + i, readings[i]
-                reading[:, :nq] = qpos
-                reading[:, nq:moved] = qvel
+                k, reading, signals = start + i, readings[i], seen[i]
+                reading[:, :moved] = motion
                 if fresh:
                     heights[:, readout.mocap] = level[i]
                     batch.forward(some)
                 if stage:
                     reading[:, moved:] = measured
-                if any(not k % period for period in periods):
-                    np.matvec(of_reading, reading, out=seen[i])
-                    seen[i] += unread[i]
+                if k in sampled:
+                    np.matvec(of_reading, reading, out=signals)
+                    signals += unread[i]
                 for computer in computers:
-                    computer.step(k, seen[i], commands)
+                    computer.step(k, signals, commands)
                 acting = commands
                 if undelayed:
                     for computer in undelayed:
-                        computer.step(k, seen[i], more)
+                        computer.step(k, signals, more)
                     acting = commands + more
                 requested[i] = acting
                 actuators.apply(controls, acting)
