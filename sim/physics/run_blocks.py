@@ -304,12 +304,12 @@ class _Loop:
                     return
                 k, reading, signals = start + i, readings[i], seen[i]
                 reading[:, :moved] = motion
-                if fresh:
-                    heights[:, readout.mocap] = level[i]
-                    batch.forward(some)
-                if stage:
-                    reading[:, moved:] = measured
                 if k in sampled:
+                    if fresh:
+                        heights[:, readout.mocap] = level[i]
+                        batch.forward(some)
+                    if stage:
+                        reading[:, moved:] = measured
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
                 for computer in computers:
