@@ -65,7 +65,7 @@ class Computer:
         self.period, closing = steps_per_sample(how[0], timestep), closing_names(vehicles[0])
         self._state = self.used = driver.start(vehicles, timestep)
         whole = (*names, *closing)
-        self._places, self._signals = [whole.index(name) for name in driver.measured], len(names)
+        self._places, self._signals = np.array([whole.index(name) for name in driver.measured], dtype=int), len(names)
         self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
         self._changes = np.zeros(self.period, dtype=bool)  # phases of the sample period at which a command arrives
         self._changes[self._late % self.period] = True
@@ -82,7 +82,7 @@ class Computer:
         sample, phase = divmod(k, self.period)
         if not phase:
             seen = signals[self.runs]
-            y, closing = seen[:, self._places], seen[:, self._signals :]
+            y, closing = seen.take(self._places, axis=1), seen[:, self._signals :]
             if self._noise is not None:
                 y += self._noise[k]
             if self._step is not None:

@@ -132,14 +132,15 @@ class LinearDriver:
         first = vehicles[0]
         signals = self.measured = tuple(name for name in first.linear_model.outputs if name in self.measured)
         period = steps_per_sample(first.implementation, timestep) * timestep
-        laws = {id(one): one.law.sampled(period) for one in self._controllers}
+        distinct = {id(one): one for one in self._controllers}
+        laws = {key: one.law.sampled(period) for key, one in distinct.items()}
         m, k = len(first.linear_model.inputs), max(law.states for law in laws.values())
         self._forces, count = m, len(vehicles)
-        self._gain, self._memory = np.zeros((count, m + k, len(signals))), np.zeros((count, m + k, k))
+        self._gain, self._memory = np.zeros((len(signals), count, m + k)), np.zeros((count, m + k, k))
         for i, one in enumerate(self._controllers):
             law, seen = laws[id(one)], [signals.index(name) for name in one.measured]
             end = m + law.states
-            self._gain[i, :m, seen], self._gain[i, m:end, seen] = law.D.T, law.B.T
+            self._gain[seen, i, :m], self._gain[seen, i, m:end] = law.D.T, law.B.T
             self._memory[i, :m, : law.states], self._memory[i, m:end, : law.states] = law.C, law.A
         if any(one.law.anti_windup is not None for one in self._controllers):
             from models.laws.anti_windup import anti_windup_gain
@@ -163,10 +164,10 @@ class LinearDriver:
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         """See `Driver.step`."""
-        m, q = self._forces, self._gain.shape[2]
-        computed = np.zeros(self._gain.shape[:2])
-        for j in range(q):  # term by term: zeros for the measurements of other controllers do not change the rounding
-            computed += self._gain[:, :, j] * y[:, j : j + 1]
+        m, q = self._forces, len(self._gain)
+        computed = np.zeros(self._gain.shape[1:])
+        for term in self._gain * y.T[:q, :, None]:  # zeros for the measurements of other controllers do not change the rounding
+            computed += term
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]

@@ -182,6 +182,7 @@ class _Loop:
         self.sensors = _span(readout.of_sensors[of_sensors]) if self.stage else slice(0, 0)
         # An acceleration is read in a separate evaluation, with the present road and the force that has acted until now.
         self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
+        self.after = 0 if self.fresh else self.stage  # what is evaluated after a step for the next reading
 
     def _computers(self, runs: slice, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
         """Returns the started computers of some of the runs, and those of their second controllers without implementation."""
@@ -252,17 +253,17 @@ class _Loop:
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)
         now, midway = course.now[:, runs], course.midway[:, runs]
-        felt, of_reading = readout.felt or fresh, self._map(actuators)
+        felt, of_reading = readout.felt, self._map(actuators)
         controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
-        qpos, qvel, activations = batch.bind("qpos"), batch.bind("qvel"), batch.bind("act")
+        nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
+        motion, activations = batch.state[:, 1 : 1 + moved], batch.bind("act")  # (qpos, qvel) after the time
         measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
         batch.forward(stage=stage)
-        nq, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], of_reading.shape[2]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
-        periods = {one.period for one in (*computers, *undelayed)}
+        sampled = {k for one in (*computers, *undelayed) for k in range(0, course.edges[-1], one.period)}
         names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))
         states = max((one.used.shape[1] for one in computers), default=0)
         for start, end in itertools.pairwise(course.edges):
@@ -278,23 +279,22 @@ class _Loop:
             for i in range(length):
                 if stopped():
                     return
-                k, reading = start + i, readings[i]
-                reading[:, :nq] = qpos
-                reading[:, nq:moved] = qvel
-                if fresh:
-                    heights[:, readout.mocap] = level[i]
-                    batch.forward(some)
-                if stage:
-                    reading[:, moved:] = measured
-                if any(not k % period for period in periods):
-                    np.matvec(of_reading, reading, out=seen[i])
-                    seen[i] += unread[i]
+                k, reading, signals = start + i, readings[i], seen[i]
+                reading[:, :moved] = motion
+                if k in sampled:
+                    if fresh:
+                        heights[:, readout.mocap] = level[i]
+                        batch.forward(some)
+                    if stage:
+                        reading[:, moved:] = measured
+                    np.matvec(of_reading, reading, out=signals)
+                    signals += unread[i]
                 for computer in computers:
-                    computer.step(k, seen[i], commands)
+                    computer.step(k, signals, commands)
                 acting = commands
                 if undelayed:
                     for computer in undelayed:
-                        computer.step(k, seen[i], more)
+                        computer.step(k, signals, more)
                     acting = commands + more
                 requested[i] = acting
                 actuators.apply(controls, acting)
@@ -312,10 +312,10 @@ class _Loop:
                     batch.forward(some)
                     sensed[i + 1] = sensors
                 heights[...] = roads[i]
-                batch.step(some, stage=0 if fresh else stage)
+                batch.step(some, stage=self.after)
                 if not felt:
                     sensed[i + 1] = sensors
-            if stage and not felt:
+            if self.after and not felt:
                 # The evaluation after a step has overwritten the step's own readings with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = recorder.signals(sensed[1:], level, midway[block], before, requested, acts)
@@ -330,12 +330,12 @@ class _Recorder:
     def __init__(self, loop: _Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
         names = [signal.name for signal in first.kind.signals]
-        self.readout, self.stage, self.felt, self.actuators = readout, loop.stage, readout.felt or loop.fresh, actuators
+        self.readout, self.after, self.actuators = readout, loop.after, actuators
         self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
         missing = {one.missing for one in first.adjustable}
         self.physical = [i for i, name in enumerate(names) if name not in missing]
         self.wheels = [names.index(wheel.road_displacement) for wheel in first.kind.wheels]
-        self.inside = readout.stage > loop.stage
+        self.inside = readout.stage > loop.after
         self.unclipped = np.array([_unclipped(one) for one in vehicles]).T
 
     def signals(self, sensed: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array) -> Array:
@@ -349,9 +349,9 @@ class _Recorder:
         values = np.zeros((len(sensed), len(place), sensed.shape[2]))
         mix(place @ readout.of_sensors, sensed, values)
         values -= (place @ readout.rest)[:, None]
-        if not self.felt:
+        if not readout.felt:
             mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level - midway, 1, 2), values)
-            if self.stage:
+            if self.after:
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level - before, 1, 2), values)
         values[:, self.wheels] = np.moveaxis(level, 1, 2)
         self.actuators.record(values, commands, activations)

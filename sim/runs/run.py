@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -250,23 +251,29 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Run for comparison in tables, without a verdict.
+    """Run of a linear controller for comparison in tables, without a verdict.
 
     Attributes:
         physics: response in MuJoCo.
-        sampled: exact linear response of the sampled loop.
+        controller: the controller.
+        input: the vehicle and its road.
     """
 
     physics: Response
-    sampled: Response
+    controller: Controller
+    input: RoadInput
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")
+    def sampled(self) -> Response:
+        """The exact linear response of the sampled loop."""
+        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled
 
 
-@np.errstate(over="ignore", invalid="ignore")
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
     """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
     on = RoadInput(vehicle, road, time)
-    physics = simulate([controller], [on])
-    return Reference(physics.run(0), predicted(controller, on, physics.requested_force[0]).sampled)
+    return Reference(simulate([controller], [on]).run(0), controller, on)
 
 
 def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:
