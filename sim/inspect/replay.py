@@ -130,10 +130,8 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> 
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
     made = simulate([driver], [road])
-    prediction = predicted(controller, road, made.requested_force[0], MOST_STATES)
-    prediction = replace(prediction, replayed=isinstance(controller, Programmed))
-    (again,) = with_energy_balance(compare_runs([prediction], made), made)
-    return again, made.run(0)
+    prediction = replace(predicted(controller, road, made.requested_force[0], MOST_STATES), replayed=driver is not controller)
+    return with_energy_balance(compare_runs([prediction], made), made)[0], made.run(0)
 
 
 def kept(controller: Driver) -> tuple[Signal, ...]:
