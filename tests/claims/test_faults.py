@@ -75,7 +75,7 @@ def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run
         state = 0.9 * (state or 0.0) + sample.y[0]
         return [-2000.0 * sample.y[0] - 100.0 * state] * len(corners), state
 
-    in_python.measured = measured
+    vars(in_python)["measured"] = measured
     driver = of_function(in_python, vehicle.linear_model.measurable) if law == "python" else driver_of(vehicle, law or usual)
     (run,) = run_controllers(vehicle, [driver], road, sample_times(vehicle, 0.4, 1e-3))
     assert run.passed, verdict_lines(run)
@@ -228,7 +228,9 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
 
     monkeypatch.setattr(Computer, "step", one_late)
     runs["one command"] = faulty(clean)
-    assert runs["one command"].agreement.commands.since == clean.physics.time[at[0]]
+    commands = runs["one command"].agreement.commands
+    assert commands is not None
+    assert commands.since == clean.physics.time[at[0]]
     for name, run in runs.items():
         assert changed(run, clean), name
         assert not run.agreement.commanded, name

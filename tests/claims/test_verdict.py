@@ -107,6 +107,7 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
     """A body that is heavier by a ten-thousandth is found over any road; the verdict names the time and a signal."""
     run = driven(heavier(vehicle, 1e-4), controllers[2], Bump(height=height), duration)
     steps = run.agreement.steps
+    assert steps is not None
     assert not run.agrees
     assert verdict(run).startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on ({steps.signal})")
     (line,) = [one for one in verdict_lines(run) if one.startswith("DOES NOT AGREE from ")]
@@ -229,6 +230,7 @@ def test_a_coarse_step_is_no_disagreement(name):
     )
     run = driven(truck, Designer(truck).design(name), Bump(), 3.0, 0.01)
     assert run.passed, verdict_lines(run)
+    assert run.agreement.steps is not None
     assert run.agreement.steps.until == math.inf
     assert "; the timestep is too coarse for accurate numbers; energy " in verdict(run)
     assert "NOT BALANCE" not in verdict(run)
