@@ -6,14 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.linear.sampled_response import largest_timestep
+from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
 from tests.models.test_loads import road_of
 from tests.models.test_vehicle_options import LINKS
+from tests.support.commands import attacks
 from tests.support.pairs import CORNERS, FILES, VELOCITIES
 
 SAMPLES = 1500  # of a run, at most

@@ -111,7 +111,7 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
     assert not run.agrees
     assert verdict(run).startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on ({steps.signal})")
     (line,) = [one for one in verdict_lines(run) if one.startswith("DOES NOT AGREE from ")]
-    assert line.endswith(f"largest difference {steps.error:.1e} of a peak ({steps.signal}), {steps.allowed:.0e} is allowed")
+    assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}), allowed {steps.allowed:.0e}")
 
 
 def test_an_exactly_linear_run_follows_its_sampled_response(vehicle, controllers):
@@ -180,7 +180,7 @@ def test_a_type_without_equations_is_compared_to_first_order(name, height, step,
     run = driven(car, controller, Bump(height=height), 0.8, step)
     assert run.agrees, verdict_lines(run)
     assert run.agreement.steps is None
-    assert any("compared to first order, at 0.01 of this road's height" in line for line in verdict_lines(run))
+    assert any("compared to first order" in line for line in verdict_lines(run))
     wrong = driven(heavier(car, 0.01), controller, Bump(height=height), 0.8, step)
     assert verdict(wrong).startswith("DOES NOT AGREE with linear analysis throughout")
 
