@@ -292,5 +292,5 @@ def test_wrong_values(name, argument, wrong, tmp_path, monkeypatch):
 def test_every_public_callable_is_in_the_table():
     """The table of calls has every public function and class but bases, errors, and what is only returned."""
     named = {name for package in (models, synth, sim) for name in package.__all__ if callable(getattr(package, name))}
-    returned = {"Run", "RunMetrics", "FeedbackDesign", "DesignError", "InfeasibleError", "InputError", "Road"}
+    returned = {"Run", "RunMetrics", "FeedbackDesign", "DesignError", "InfeasibleError", "InputError", "Road", "Driver"}
     assert named - returned <= set(calls())

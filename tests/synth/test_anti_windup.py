@@ -132,7 +132,7 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
     assert run.passed
     assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
-    assert any("asked for more than its force" in line for line in verdict_lines(run))
+    assert any("the command of a lagging actuator first exceeds its largest force" in line for line in verdict_lines(run))
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)
     full = time[(np.abs(free.physics["control_force"]) >= 50.0).argmax()]
     assert clipped < free.agreement.ended[SATURATION.name] == full  # without anti-windup a lag is linear until then
