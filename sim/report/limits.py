@@ -149,10 +149,9 @@ def map_of(scope: Scope, number: int) -> Map:
     """Runs bumps of the paper's length, of every height and speed of `MAP`, with one of the active controllers."""
     one, bump, timestep, vehicle = scope.active[number], Bump(), scope.map_timestep, ideal_measurements(scope.vehicle)
     axes, fixed = read_axes(MAP), {"height": bump.height, "length": bump.length, "speed": bump.speed}
-    shape = tuple(len(axis.values) for axis in axes)
-    cells = validity(vehicle, one, grid(axes, fixed), sample_times(vehicle, BUMP_DURATION, timestep), shape=shape)
+    cells = validity(vehicle, one, grid(axes, fixed), sample_times(vehicle, BUMP_DURATION, timestep))
     figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
-    shares = [np.mean(cells.predicted.first == end) for end in (-1, *range(len(END_NAMES)))]
+    shares = [np.mean(cells.predicted == end) for end in (-1, *range(len(END_NAMES)))]
     row = (
         one.name,
         f"{100 * cells.share(lambda one: one.error <= THRESHOLD):.1f} %",

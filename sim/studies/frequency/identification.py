@@ -297,7 +297,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
-    """Returns the number of samples of a run before the fitted ones: one period, or as long as free motion takes to decay.
+    """Returns the number of samples of a run before the fitted ones: a period, or more if free motion takes longer to decay.
 
     Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They
     resemble free motion, which therefore must have decayed, but for slow motion, which is taken off.
@@ -306,8 +306,8 @@ def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float
     if steps == 1:
         return period
     loops = [LoopModel(vehicle, one, timestep) for one in controllers if one.measured]
-    settling = max((settling_of(loop, SETTLED)[0] for loop in loops), default=timestep)
-    return steps * math.ceil(settling / (steps * timestep))
+    settling = max((settling_of(loop, SETTLED)[0] for loop in loops), default=0.0)
+    return max(period, steps * math.ceil(settling / (steps * timestep)))
 
 
 def settling_of(loop: LoopModel, left: float) -> tuple[float, Array]:

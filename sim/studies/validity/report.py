@@ -32,7 +32,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
         dampers = ("missing_force",) if _has_dampers(cells) else ()
         shares = (f"linear_share_of_{name}" for name in names)
         writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
-        for row, used in zip(_cells(cells, threshold), cells.predicted.used.tolist(), strict=True):
+        for row, used in zip(_cells(cells, threshold), cells.used.tolist(), strict=True):
             of_cell = [*(row[name] for name in (*UNITS, *columns)), *used]
             writer.writerow([*of_cell, *(row[name] for name in dampers), row["simulated"], True])
 
@@ -62,7 +62,7 @@ def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
     for i, bump in enumerate(cells.bumps):
         row: dict[str, Any] = {name: getattr(bump, name) for name in UNITS}
         row |= dict.fromkeys(("error", "holds", "broke_first", "at"))
-        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted.time[i]), "agrees": None}
+        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted_time[i]), "agrees": None}
         row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
         if (one := cells.driven.get(i)) is not None:
             row |= {"error": finite(one.error), "holds": one.error <= threshold, "at": finite(one.time)}
@@ -96,7 +96,7 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
         return f"  {100 * share:5.1f} % of {of}"
 
     analysis = "the analysis with its dampers" if cells.short else "linear analysis"
-    first, count, others = cells.predicted.first, len(cells.driven), len(cells.others)
+    first, count, others = cells.predicted, len(cells.driven), len(cells.others)
     lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(np.mean(first < 0))}: nothing breaks"]
     lines += [f"{share(np.mean(first == i))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
     if np.any(first == END_NAMES.index(CURVE.name)):
@@ -164,9 +164,9 @@ def envelope_figure(
     colors = (NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
     nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(cells.predicted.first + 1), colors, (nothing, *first))
+    ground = Classes(x, y, plane(cells.predicted + 1), colors, (nothing, *first))
 
-    curves, used = [], plane(cells.predicted.used.max(axis=-1))
+    curves, used = [], plane(cells.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
         whose = "from responses with its curves" if vehicle.is_curved else whose
@@ -214,14 +214,14 @@ def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) ->
 
 
 def _figure(controller: Controller, cells: Cells, title: str, panel: Panel) -> Figure:
-    holds = float(np.mean(cells.predicted.first < 0))
+    holds = float(np.mean(cells.predicted < 0))
     finding = f"With {as_name(controller.name)} nothing breaks over {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
 def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
     """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
-    x, used = np.array(axis.values), cells.predicted.used
+    x, used = np.array(axis.values), cells.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
         for i, end in enumerate(REGIME_ENDS)
