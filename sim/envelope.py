@@ -76,9 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
     from sim.runs.run import sample_times
-    from sim.studies.validity.driven import loaded
     from sim.studies.validity.edges import edge_lines, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
+    from sim.studies.validity.map_runs import loaded
     from sim.studies.validity.regime_map import validity
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
@@ -138,7 +138,7 @@ def _nearest_runs(
 
     from sim.response.regime import END_NAMES
     from sim.runs.run import run_controllers
-    from sim.studies.validity.driven import loaded
+    from sim.studies.validity.map_runs import loaded
 
     nearest, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):

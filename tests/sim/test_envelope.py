@@ -171,7 +171,7 @@ def run_steps(monkeypatch) -> list[int]:
         steps.append(len(controllers) * len(inputs[0].time))
         return simulate(controllers, inputs, threads)
 
-    monkeypatch.setattr("sim.studies.validity.driven.simulate", counted)
+    monkeypatch.setattr("sim.studies.validity.map_runs.simulate", counted)
     return steps
 
 
@@ -276,13 +276,6 @@ def test_edges_along_the_height(capsys, tmp_path, paper, limited, designer, cell
     assert (enclosed["speed"], enclosed["ended_by"], enclosed["agrees"]) == (12.0, "lift-off", True)
     assert enclosed["predicted_from"] == pytest.approx(fast["predicted_from"], rel=1e-9)
     assert enclosed["linear_at"] < fast["predicted_from"] < enclosed["ended_at"]
-
-
-@pytest.mark.parametrize("axes", [[], ["height:0.1:0.2:2", "speed:3:5:2", "length:1:2:2"], ["speed:12.5:12.5:1"]])
-def test_axes_that_are_none(axes):
-    """A map has one axis or two, and one value of a quantity is an option, not an axis."""
-    with pytest.raises(InputError, match=r"a map has one axis or two|give low < high"):
-        read_axes(axes)
 
 
 def test_words_are_the_cells(tmp_path, capsys, of_one_map):

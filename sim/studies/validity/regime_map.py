@@ -25,7 +25,7 @@ from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
-from sim.studies.validity.driven import Driven, analysed, driven, loaded, shares
+from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed
 from synth.controller.controller import Controller, has_anti_windup
 
@@ -56,7 +56,7 @@ class Cells:
     predicted: Array
     predicted_time: Array
     travel: Array
-    driven: Mapping[int, Driven]
+    driven: Mapping[int, MapRun]
     boundary: frozenset[int]
     ends: Mapping[int, RegimeEnd]
 
@@ -64,7 +64,7 @@ class Cells:
         """Returns the name of the predicted first end of a cell; empty without an end."""
         return END_NAMES[self.predicted[i]] if self.predicted[i] >= 0 else ""
 
-    def share(self, holds: Callable[[Driven], bool]) -> float:
+    def share(self, holds: Callable[[MapRun], bool]) -> float:
         """Returns the share of the MuJoCo runs for which something holds."""
         return float(np.mean([holds(one) for one in self.driven.values()]))
 
