@@ -126,7 +126,8 @@ def validity(
     """
     used, predicted, when, travel = _predicted(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
-    chosen = np.sort(np.random.default_rng(0).choice(len(bumps), wanted, replace=False))
+    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # one at random out of so many parts of the grid
+    chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
     runs = driven(vehicle, [(controller, loaded(bumps[i], loads), len(time)) for i in chosen], time)
     boundary = set[int]()
     for factor in (1 - BOUNDARY, 1 + BOUNDARY):
