@@ -140,7 +140,7 @@ IMAGES = 8  # of a line on either side of so many multiples of the sample rate; 
 ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
 DEAD = 1e-12  # free motion that has decayed to this is none
 SETTLED = 1e-7  # what may be left of it where its shape is not fitted
-PATIENCE = 120.0  # s; free motion that takes longer, as an integrator's, is fitted and taken off
+PATIENCE = 10.0  # s; free motion that takes longer, as that of integrators, is fitted and taken off
 
 
 @dataclass(frozen=True, eq=False)
