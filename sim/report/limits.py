@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -136,13 +136,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
     return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
-    """The map of validity of one controller: its figure, its row of the table, and what is wrong with it, if anything is."""
-
-    figure: Figure
-    row: tuple[str, ...]
-    findings: tuple[Statement, ...]
+Map = tuple[Figure, tuple[str, ...], tuple[Statement, ...]]  # figure, row of the table, and what is wrong with it
 
 
 def map_of(scope: Scope, number: int) -> Map:
@@ -162,7 +156,7 @@ def map_of(scope: Scope, number: int) -> Map:
     text = f"MuJoCo DOES NOT break as predicted everywhere in the map of {as_name(one.name)}."
     findings = () if cells.as_predicted else (Statement(text, "fails"),)
     named = replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}")
-    return Map(named, row, findings)
+    return named, row, findings
 
 
 def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:
@@ -187,12 +181,12 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
         "Shares of every controller's map as predicted; and of its MuJoCo runs, where linear analysis holds, and which end as "
         "predicted.",
         headings,
-        tuple(one.row for one in maps),
+        tuple(row for _, row, _ in maps),
     )
     title = "How far can the analysis be trusted?"
-    figures = tuple(one.figure for one in maps)
+    figures = tuple(figure for figure, *_ in maps)
     section = Section(title, "the map of validity, over heights and speeds", text, (table,), figures)
-    return section, [finding for one in maps for finding in one.findings]
+    return section, [finding for *_, findings in maps for finding in findings]
 
 
 def _margin(value: float) -> str:

@@ -353,7 +353,9 @@ def test_picture_is_the_cells(limited, designer):
         (label,) = [text for text, its in legend.items() if its == color and ("breaks" in text)]
         assert label.startswith("nothing breaks" if first < 0 else f"{END_NAMES[first]} breaks first")
     assert "force saturation breaks first (at ±1400 N)" in legend
-    assert "Colours and line: predicted. Markers: MuJoCo, in 10 of 60 cells, of which 100 % end the linear regime" in figure.title
+    assert (
+        "Colours and lines: predicted. Markers: MuJoCo, in 10 of 60 cells, of which 100 % end the linear regime" in figure.title
+    )
     # The line lies where the linear share is one: at the height that the column's own linear run says.
     (line,) = [curve for curve in panel.curves if curve.label == "predicted end, from one linear run"]
     for speed in ground.x[1:-1]:

@@ -202,13 +202,14 @@ def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
 def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
     """Returns the title of a map; `rest` is what is not varied, in words."""
     which = "analysis with adjustable dampers" if cells.short else "linear analysis"
-    edge = f", and at {len(cells.ends)} ends, within {_within(cells)} of the predicted heights" if cells.ends else ""
+    count = f"{len(cells.ends)} end{'s' * (len(cells.ends) > 1)}"
+    edge = f", and at {count}, within {_within(cells)} of the predicted height" if cells.ends else ""
     ends = (
         f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
     )
     return (
         f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. Colours "
-        f"and line: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
+        f"and lines: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
         f"{100 * cells.agreement:.4g} % {ends}{edge}"
     )
 
