@@ -138,7 +138,7 @@ class PerWheelRoad(Road):
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
-TOLD_APART = 2000  # samples at the end of a run, over which it is told from the road's
+TOLD_APART = 5.0  # s at the end of a run, over which it is told from the road's
 ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
 FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
 BESIDE, DOUBLINGS = 3e-4, 6  # relative; how far below its peak it may be, and how often it has twice the samples for that at most
@@ -283,7 +283,7 @@ def _drive_worst(
 
 def _told(loop: LoopModel, poles: Array, count: int) -> int:
     """Returns the number of steps evaluated at the end of a run: many samples if slow modes are fitted."""
-    return max(count, TOLD_APART * loop.steps) if len(poles) else count
+    return max(count, math.ceil(TOLD_APART / loop.period) * loop.steps) if len(poles) else count
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
