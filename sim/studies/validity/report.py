@@ -97,8 +97,8 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
 
     analysis = "the analysis with its dampers" if cells.short else "linear analysis"
     first, count, others = cells.predicted, len(cells.driven), len(cells.others)
-    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(np.mean(first < 0))}: nothing breaks"]
-    lines += [f"{share(np.mean(first == i))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
+    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(float(np.mean(first < 0)))}: nothing breaks"]
+    lines += [f"{share(float(np.mean(first == i)))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
     if np.any(first == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
     lines += ["", f"MuJoCo, run in {count} of {len(cells.bumps)} cells:"]
@@ -175,7 +175,7 @@ def envelope_figure(
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
-    curves += [Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D")] if at else []
+    curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
     curves += _markers(cells, places, threshold)
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel)
@@ -196,7 +196,12 @@ def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
         elif one.end:
             kind = (f"it ends, linear analysis is off by more than {within}", VERMILLION, "x")
         kinds.setdefault(kind, []).append(i)
-    return [Curve(*places[mine].T, f"MuJoCo: {label}", color, "none", marker) for (label, color, marker), mine in kinds.items()]
+    return [_marks(places[mine], f"MuJoCo: {label}", color, marker) for (label, color, marker), mine in kinds.items()]
+
+
+def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
+    """Returns markers at points, shape (N, 2)."""
+    return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
 
 
 def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
@@ -230,7 +235,7 @@ def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: st
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
-        curves.append(Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D"))
+        curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1), threshold)
     panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
     return _figure(controller, cells, title, panel)
