@@ -76,9 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
     from sim.runs.run import sample_times
-    from sim.studies.validity.driven import loaded
-    from sim.studies.validity.edges import edge_lines, edges, edges_object, travel_line
+    from sim.studies.validity.edges import edge_lines, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
+    from sim.studies.validity.map_runs import loaded
     from sim.studies.validity.regime_map import validity
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
@@ -101,13 +101,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
     warn(vehicle, [controller])
-    shape = tuple(len(axis.values) for axis in axes)
-    cells = validity(
-        vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads, shape, options.every_cell
-    )
+    cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads, options.every_cell)
     stage("picture and logs")
     fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
-    along, found = edges(cells, axes, proportional=not (loads or vehicle.is_curved))
+    edges = edges_object(cells, axes, proportional=not (loads or vehicle.is_curved))
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
@@ -115,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from sim.studies.validity.report import envelope_figure
 
         write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
-    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges_object(along, found, cells)}
+    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges}
     result |= loads_object(options.loads) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
     logs = recorded(options, given, [controller.name], nearest, result)
@@ -128,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
         if not controller.certificate.stable:
             lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
-        ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
+        ends = [*edge_lines(edges, fixed), *travel_line(vehicle, cells)]
         say([*lines, *written_lines(outputs), *log_lines([logs]), "", *ends, "", *envelope_lines(cells, options.threshold)])
     return 0 if cells.as_predicted else 1
 
@@ -141,11 +138,11 @@ def _nearest_runs(
 
     from sim.response.regime import END_NAMES
     from sim.runs.run import run_controllers
-    from sim.studies.validity.driven import loaded
+    from sim.studies.validity.map_runs import loaded
 
-    nearest, used = {}, cells.predicted.used.max(axis=-1)
+    nearest, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
-        mine = np.flatnonzero(cells.predicted.first == end)
+        mine = np.flatnonzero(cells.predicted == end)
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
             what = "nothing breaks" if end < 0 else END_NAMES[end]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -136,23 +136,16 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
     return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
-    """The map of validity of one controller: its figure, its row of the table, and what is wrong with it, if anything is."""
-
-    figure: Figure
-    row: tuple[str, ...]
-    findings: tuple[Statement, ...]
+Map = tuple[Figure, tuple[str, ...], tuple[Statement, ...]]  # figure, row of the table, and what is wrong with it
 
 
 def map_of(scope: Scope, number: int) -> Map:
     """Runs bumps of the paper's length, of every height and speed of `MAP`, with one of the active controllers."""
     one, bump, timestep, vehicle = scope.active[number], Bump(), scope.map_timestep, ideal_measurements(scope.vehicle)
     axes, fixed = read_axes(MAP), {"height": bump.height, "length": bump.length, "speed": bump.speed}
-    shape = tuple(len(axis.values) for axis in axes)
-    cells = validity(vehicle, one, grid(axes, fixed), sample_times(vehicle, BUMP_DURATION, timestep), shape=shape)
+    cells = validity(vehicle, one, grid(axes, fixed), sample_times(vehicle, BUMP_DURATION, timestep))
     figure = envelope_figure(vehicle, one, cells, axes, {"length": bump.length}, THRESHOLD)
-    shares = [np.mean(cells.predicted.first == end) for end in (-1, *range(len(END_NAMES)))]
+    shares = [np.mean(cells.predicted == end) for end in (-1, *range(len(END_NAMES)))]
     row = (
         one.name,
         f"{100 * cells.share(lambda one: one.error <= THRESHOLD):.1f} %",
@@ -163,7 +156,7 @@ def map_of(scope: Scope, number: int) -> Map:
     text = f"MuJoCo DOES NOT break as predicted everywhere in the map of {as_name(one.name)}."
     findings = () if cells.as_predicted else (Statement(text, "fails"),)
     named = replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}")
-    return Map(named, row, findings)
+    return named, row, findings
 
 
 def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:
@@ -188,12 +181,12 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
         "Shares of every controller's map as predicted; and of its MuJoCo runs, where linear analysis holds, and which end as "
         "predicted.",
         headings,
-        tuple(one.row for one in maps),
+        tuple(row for _, row, _ in maps),
     )
     title = "How far can the analysis be trusted?"
-    figures = tuple(one.figure for one in maps)
+    figures = tuple(figure for figure, *_ in maps)
     section = Section(title, "the map of validity, over heights and speeds", text, (table,), figures)
-    return section, [finding for one in maps for finding in one.findings]
+    return section, [finding for *_, findings in maps for finding in findings]
 
 
 def _margin(value: float) -> str:

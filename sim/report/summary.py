@@ -79,7 +79,7 @@ def trust_section(
     stated = dict.fromkeys(wrong, "none claimed")
     for one, end in ends:
         if one.name not in wrong:
-            stated[one.name] = "at any height" if end is None else _metres(_height(end))
+            stated[one.name] = "at any height" if end is None else _metres(end)
     neither = (None, None)
     columns: tuple[Column[Run], ...] = (
         Column("controller", lambda run: run.controller.name),
@@ -140,15 +140,9 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
     return values, f"{name.replace('_', ' ')}, rms", unit
 
 
-def _metres(height: tuple[float, float]) -> str:
-    """Returns a height measured in MuJoCo, with a remark if it is not the predicted one."""
-    predicted, measured = height
-    return f"{measured:.3g} m" if math.isfinite(measured) else f"NOT as predicted, {predicted:.3g} m"
-
-
-def _height(end: RegimeEnd) -> tuple[float, float]:
-    """Returns the height of the end of a linear regime, predicted and in MuJoCo [m]."""
-    return end.predicted, end.found if end.confirmed else math.nan
+def _metres(end: RegimeEnd) -> str:
+    """Returns the height at which a linear regime ends in MuJoCo, with a remark if it is not the predicted one."""
+    return f"{end.found:.3g} m" if end.confirmed else f"NOT as predicted, {end.predicted:.3g} m"
 
 
 def _against(value: float, passive: float) -> str:

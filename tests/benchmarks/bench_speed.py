@@ -170,7 +170,7 @@ def test_envelope(benchmark):
     bumps = grid(read_axes(["height:0.02:0.3:40", "speed:3:30:40"]), {"length": 5.0})
     paired_ratio(
         benchmark,
-        lambda: validity(vehicle, controller, bumps, time, shape=(40, 40)),
+        lambda: validity(vehicle, controller, bumps, time),
         lambda: native(len(bumps) * 3001),
         1,
         0.2,

@@ -436,10 +436,10 @@ def test_a_map_foretells_when_curves_leave_their_lines():
     curve = REGIME_ENDS.index(CURVE)
     first = np.array([one.first for one in cells.driven.values()])
     assert {*first.tolist()} == {-1, curve}
-    np.testing.assert_array_equal(first, cells.predicted.first)
-    np.testing.assert_array_equal([one.time for one in cells.driven.values()], cells.predicted.time)
-    assert np.all((cells.predicted.used[:, curve] >= 1) == (first == curve))
-    near = 0.02 / float(cells.predicted.used[3, curve])  # about where it just leaves it, at 15 m/s
+    np.testing.assert_array_equal(first, cells.predicted)
+    np.testing.assert_array_equal([one.time for one in cells.driven.values()], cells.predicted_time)
+    assert np.all((cells.used[:, curve] >= 1) == (first == curve))
+    near = 0.02 / float(cells.used[3, curve])  # about where it just leaves it, at 15 m/s
     heights = [Bump(share * near, 5.0, 15.0) for share in np.linspace(0.8, 1.2, 21).tolist()]
     edge = validity(vehicle, design(vehicle, "I"), heights, sample_times(vehicle, 0.4, 1e-3), every=True)
     assert 0 < len(edge.boundary) < 21

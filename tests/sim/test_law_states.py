@@ -10,11 +10,12 @@ import pytest
 import rerun.blueprint as rrb
 
 from models.kinds.signals import KEPT
-from models.roads.road import Bump
+from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
+from sim.physics.simulate import FEWEST, simulate
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.pages import MOST_ACTIVE
 from sim.recording.rerun_writer import _comparison, _page
@@ -54,6 +55,15 @@ def test_states_in_physics_are_those_of_the_analysis(name, what, reality):
             # To first order in the sample period, against states that move within 1/300 s.
             late = (implementation.delay + 1) * (implementation.sample_period or 1e-3)
             assert np.abs(run.continuous[one] - run.sampled[one]).max() / scale < 200 * late
+
+
+def test_threads_have_laws_of_different_orders():
+    """States are the same on one thread and on two whose laws have different numbers of states."""
+    vehicle, time = read_vehicle("quarter_car"), np.arange(51) * 1e-3
+    some = [controller(vehicle, "velocity", order) for order in (1, 3) for _ in range(FEWEST)]
+    one, two = (simulate(some, [RoadInput(vehicle, Bump(), time)] * len(some), threads) for threads in (1, 2))
+    for i in range(len(some)):
+        np.testing.assert_array_equal(one.run(i).values, two.run(i).values)
 
 
 @pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=2)])

@@ -26,12 +26,12 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
+from sim.physics.simulate import simulate
 from sim.response.regime import LIFT_OFF, ended_by
-from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
-from sim.studies.frequency.worst_case_gain import PerWheelRoad, driven, whole_periods
+from sim.studies.frequency.worst_case_gain import PerWheelRoad, whole_periods
 from synth.controller.controller import Controller, has_anti_windup
 
 STROKE = 3e-3  # m, the plate's amplitude
@@ -92,29 +92,11 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
-    each = [(controller, wheel) for controller in controllers for wheel in range(len(wheels))]
-    worst = [_worst(vehicle, *one, highest, timestep) for one in each]
-    samples = [_samples(omega, timestep) for omega in worst]
-    tried = [
-        round(count * timestep * omega / (2 * np.pi)) * 2 * np.pi / (count * timestep)
-        for omega, count in zip(worst, samples, strict=True)
-    ]
-    count = max(lead_in(vehicle, [one], timestep, some) + some for (one, _), some in zip(each, samples, strict=True))
-    time, inputs = sample_times(vehicle, count * timestep, timestep)[:-1], []
-    for (_, wheel), omega in zip(each, tried, strict=True):
-        waves = STROKE * omega * np.eye(1, len(wheels), wheel, dtype=complex)
-        inputs.append(RoadInput(vehicle, PerWheelRoad.under(vehicle, np.array([omega]), waves, float(time[-1])), time))
-    loads = [
-        _load(vehicle, *one, run, some, at, static, timestep)
-        for one, run, some, *at in zip(each, driven([one for one, _ in each], inputs), samples, worst, tried, strict=True)
-    ]
-    return [tuple(loads[i : i + len(wheels)]) for i in range(0, len(loads), len(wheels))]
-
-
-def _samples(omega: float, timestep: float) -> int:
-    """Returns the number of samples that are fitted: whole periods of the worst frequency [rad/s]."""
-    _, samples = whole_periods(omega, timestep)
-    return samples * max(1, round(WINDOW / (samples * timestep)))
+    loads = []
+    for controller in controllers:
+        worst = [_worst(vehicle, controller, i, highest, timestep) for i in range(len(wheels))]
+        loads.append(tuple(_driven(vehicle, controller, i, omega, static, timestep) for i, omega in enumerate(worst)))
+    return loads
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
@@ -149,28 +131,22 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
     return float(peak.x)
 
 
-def _load(
-    vehicle: Vehicle,
-    controller: Controller,
-    wheel: int,
-    run: Response,
-    samples: int,
-    at: Sequence[float],
-    static: Mapping[str, float],
-    timestep: float,
+def _driven(
+    vehicle: Vehicle, controller: Controller, wheel: int, omega: float, static: Mapping[str, float], timestep: float
 ) -> MinimumLoad:
-    """Returns the minimum load of a wheel from its run on a plate.
-
-    Args:
-        samples: number of last samples that are fitted.
-        at: worst frequency, and the one that was driven [rad/s].
-        static: static deflections of the tyres [m].
-    """
-    tyre, omega, tried = vehicle.kind.wheels[wheel].tyre_deflection, at[0], np.array([at[1]])
+    """A wheel on its plate at a frequency."""
+    tyre = vehicle.kind.wheels[wheel].tyre_deflection
     share = STROKE / static[tyre]
+    _, samples = whole_periods(omega, timestep)
+    samples *= max(1, round(WINDOW / (samples * timestep)))
+    tried = np.array([round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)])
     exact, integrated = (
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
+    time = sample_times(vehicle, (lead_in(vehicle, controller, timestep, samples) + samples) * timestep, timestep)[:-1]
+    waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
+    waves[0, wheel] = STROKE * tried[0]
+    run = simulate([controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]).run(0)
     ended = ended_by(vehicle, run, has_anti_windup(controller))
     curved = bool(vehicle.fitted)
     if ended or curved:

@@ -140,7 +140,7 @@ IMAGES = 8  # of a line on either side of so many multiples of the sample rate; 
 ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
 DEAD = 1e-12  # free motion that has decayed to this is none
 SETTLED = 1e-7  # what may be left of it where its shape is not fitted
-PATIENCE = 120.0  # s; free motion that takes longer, as an integrator's, is fitted and taken off
+PATIENCE = 10.0  # s; free motion that takes longer, as that of integrators, is fitted and taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, times
     vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep / steps) * steps
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
     omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
-    time = sample_times(vehicle, (lead_in(vehicle, controllers, timestep, period) + period) * timestep, timestep)[:-1]
+    time = sample_times(vehicle, 2 * period * timestep, timestep)[:-1]  # a period is as long as `PATIENCE`
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
     physics = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0)
 
@@ -296,18 +296,17 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
     return np.hstack([np.real(motion), np.imag(motion)])
 
 
-def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
-    """Returns the number of samples of a run before the fitted ones: one period, or as long as free motion takes to decay.
+def lead_in(vehicle: Vehicle, controller: Controller, timestep: float, period: int) -> int:
+    """Returns the number of samples of a run before the fitted ones: a period, or more if free motion takes longer to decay.
 
     Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They
     resemble free motion, which therefore must have decayed, but for slow motion, which is taken off.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
-    if steps == 1:
+    if steps == 1 or not controller.measured:
         return period
-    loops = [LoopModel(vehicle, one, timestep) for one in controllers if one.measured]
-    settling = max((settling_of(loop, SETTLED)[0] for loop in loops), default=timestep)
-    return steps * math.ceil(settling / (steps * timestep))
+    settling, _ = settling_of(LoopModel(vehicle, controller, timestep), SETTLED)
+    return max(period, steps * math.ceil(settling / (steps * timestep)))
 
 
 def settling_of(loop: LoopModel, left: float) -> tuple[float, Array]:

@@ -138,7 +138,7 @@ class PerWheelRoad(Road):
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
-TOLD_APART = 2000  # samples at the end of a run, over which it is told from the road's
+TOLD_APART = 5.0  # s at the end of a run, over which it is told from the road's
 ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
 FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
 BESIDE, DOUBLINGS = 3e-4, 6  # relative; how far below its peak it may be, and how often it has twice the samples for that at most
@@ -283,7 +283,7 @@ def _drive_worst(
 
 def _told(loop: LoopModel, poles: Array, count: int) -> int:
     """Returns the number of steps evaluated at the end of a run: many samples if slow modes are fitted."""
-    return max(count, TOLD_APART * loop.steps) if len(poles) else count
+    return max(count, math.ceil(TOLD_APART / loop.period) * loop.steps) if len(poles) else count
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
@@ -366,42 +366,39 @@ def worst_roads(
         amplitude: largest height of the road [m].
         timestep: longest timestep of the runs [s]; the sample period if the vehicle gives none.
     """
-    roads = list[WorstRoad | None]([None] * len(controllers))
-    some = [(i, controllers[i], norm) for i, norm in enumerate(norms) if norm is not None and not norm.inside]
-    if not some:
-        return roads
     period, own = vehicle.implementation.sample_period or timestep, steps_per_sample(vehicle.implementation, timestep)
     wanted = period / max(min(timestep, FINE, period / FEWEST), SHORTEST_STEP) * (1 - 1e-9)
     steps = own * math.ceil(wanted / own)  # a delay that ends with a step does so with a part of one
     vehicle, h = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period)), period / steps
-    loops = [LoopModel(vehicle, controller, h) for _, controller, _ in some]
-    turns = [_turn(norm.angle) for *_, norm in some]
-    settled = [settling_of(loop, PERIODIC_SETTLED) for loop in loops]
-    counts = [turn.denominator * steps for turn in turns]
-    lengths = [_told(loop, slow, count + 1) for loop, (_, slow), count in zip(loops, settled, counts, strict=True)]
-    time = sample_times(
-        vehicle, max(settling + (length + 1) * h for (settling, _), length in zip(settled, lengths, strict=True)), h
-    )
-    worst = [
-        _worst(vehicle, controller, 2 * math.pi * float(turn), h, _most_lines(steps))
-        for (_, controller, _), turn in zip(some, turns, strict=True)
-    ]
-    under = [PerWheelRoad.under(vehicle, omega, waves, float(time[-1])) for _, waves, omega in worst]
-    scales = [amplitude / road.highest(time[: count + 1]) for road, count in zip(under, counts, strict=True)]
-    inputs = [RoadInput(vehicle, road.scaled(scale), time) for road, scale in zip(under, scales, strict=True)]
-    runs = driven([controller for _, controller, _ in some], inputs)
-    twisted = len(road_twist_inputs(vehicle.linear_model)) > 0
-    for k, ((i, controller, _), turn, response) in enumerate(zip(some, turns, runs, strict=True)):
-        angle = 2 * math.pi * float(turn)
+    plans, until = dict[int, tuple[LoopModel, Fraction, Array, int]](), 0.0  # loop, turn, slow poles, samples that are read
+    for i, (controller, norm) in enumerate(zip(controllers, norms, strict=True)):
+        if norm is not None and not norm.inside:
+            loop, turn = LoopModel(vehicle, controller, h), _turn(norm.angle)
+            settling, slow = settling_of(loop, PERIODIC_SETTLED)
+            plans[i] = loop, turn, slow, _told(loop, slow, turn.denominator * steps + 1)
+            until = max(until, settling + (plans[i][-1] + 1) * h)
+    roads, inputs = list[WorstRoad | None]([None] * len(controllers)), list[RoadInput]()
+    if not plans:
+        return roads
+    time, most, twisted = sample_times(vehicle, until, h), _most_lines(steps), len(road_twist_inputs(vehicle.linear_model)) > 0
+    sizes = []
+    for i, (_, turn, *_) in plans.items():
+        predicted, waves, omega = _worst(vehicle, controllers[i], 2 * math.pi * float(turn), h, most)
+        road = PerWheelRoad.under(vehicle, omega, waves, float(time[-1]))
+        sizes.append((predicted, amplitude / road.highest(time[: turn.denominator * steps + 1])))
+        inputs.append(RoadInput(vehicle, road.scaled(sizes[-1][1]), time))
+    runs = driven([controllers[i] for i in plans], inputs)
+    for (i, (loop, turn, slow, length)), (predicted, scale), response in zip(plans.items(), sizes, runs, strict=True):
+        angle, count = 2 * math.pi * float(turn), turn.denominator * steps
         # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude,
         # but where every one is there twice.
-        end = Response(time[-lengths[k] :], response.signals, response.values[-lengths[k] :])
-        end = without_slow_motion(loops[k], end, settled[k][1], np.array([angle]))
-        last = Response(end.time[-counts[k] - 1 :], end.signals, end.values[-counts[k] - 1 :])
-        gain = math.sqrt(mean_square(vehicle, last)) / (scales[k] * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5)))
-        finer, _, _ = _worst(vehicle, controller, angle, h / 2, _most_lines(steps))
-        ended = ended_by(vehicle, response, has_anti_windup(controller))
-        roads[i] = WorstRoad(angle, worst[k][0], finer, gain, h, twisted, ended)
+        end = Response(time[-length:], response.signals, response.values[-length:])
+        end = without_slow_motion(loop, end, slow, np.array([angle]))
+        last = Response(end.time[-count - 1 :], end.signals, end.values[-count - 1 :])
+        gain = math.sqrt(mean_square(vehicle, last)) / (scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5)))
+        finer, _, _ = _worst(vehicle, controllers[i], angle, h / 2, most)
+        ended = ended_by(vehicle, response, has_anti_windup(controllers[i]))
+        roads[i] = WorstRoad(angle, predicted, finer, gain, h, twisted, ended)
     return roads
 
 

@@ -20,7 +20,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.response.regime import END_NAMES
 from sim.response.response import Response
-from sim.studies.validity.driven import Driven, analysed, driven, largest_difference, loaded, shares
+from sim.studies.validity.map_runs import MapRun, analysed, driven, largest_difference, loaded, shares
 from synth.controller.controller import Controller
 
 WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
@@ -103,7 +103,7 @@ def enclosed(
     Returns:
         An end for each bump, or None if no allowed height has one.
     """
-    ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, Driven]]]()
+    ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (controller, bump) in enumerate(zip(controllers, bumps, strict=True)):
         response = analysed(vehicle, controller, [loaded(bump, loads)], time).run(0)
         used = shares(vehicle, controller, response) / abs(bump.height)

@@ -2,7 +2,7 @@
 
 Before the first event physics *is* linear, so the event and its time follow from the linear response alone; and that is
 proportional to the height of the bump. One linear response per length and speed predicts a whole column of heights, and the map
-is drawn from these predictions. MuJoCo confirms them in a few cells, which are spread evenly, and along the edge of the linear
+is drawn from these predictions. MuJoCo confirms them in a few cells, chosen at random, and along the edge of the linear
 regime, which two runs enclose at each length and speed.
 
 With adjustable dampers a linear controller lacks force at once, at whatever height. The map therefore shows the share of missing
@@ -11,6 +11,7 @@ A curve departs from its line gradually: it counts from a stated share, `LEAVES`
 proportional to the height, so every cell has its own.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,32 +25,15 @@ from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
-from sim.studies.validity.driven import Driven, analysed, driven, loaded, shares
+from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed
 from synth.controller.controller import Controller, has_anti_windup
 
 BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 AT_ONCE = 64  # responses side by side
 FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # cells and edges that are run at least; their shares of all cells
-SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # 1 / g and 1 / g^2, where g^3 = g + 1: they fill a plane evenly
+CLOSE = 1.1  # factor on the height
 WITHIN = 1.004  # factor on the height, either way, between the runs that enclose an edge
-
-
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """Predictions for N bumps.
-
-    Attributes:
-        used: share of the way to each of `REGIME_ENDS`, shape (N, E).
-        first: first end as an index into `REGIME_ENDS`, -1 for none, shape (N,).
-        time: time of that end [s], infinite for none, shape (N,).
-        travel: largest deflection of any suspension [m], shape (N,).
-    """
-
-    used: Array
-    first: Array
-    time: Array
-    travel: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,23 +42,29 @@ class Cells:
 
     Attributes:
         bumps: bumps, one for each cell.
-        predicted: predictions of all cells.
+        used: share of the way to each of `REGIME_ENDS` by analysis, shape (N, E).
+        predicted: first end by analysis, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
+        predicted_time: time of that end [s], infinite for none, shape (N,).
+        travel: largest deflection of any suspension by analysis [m], shape (N,).
         driven: results of MuJoCo, by the index of the cell.
         boundary: indices of those of them whose prediction differs at a height 1 % lower or higher.
         ends: heights that MuJoCo encloses, by the index of a cell of their length and speed.
     """
 
     bumps: tuple[Bump, ...]
-    predicted: Predicted
-    driven: Mapping[int, Driven]
+    used: Array
+    predicted: Array
+    predicted_time: Array
+    travel: Array
+    driven: Mapping[int, MapRun]
     boundary: frozenset[int]
     ends: Mapping[int, RegimeEnd]
 
     def end_of(self, i: int) -> str:
         """Returns the name of the predicted first end of a cell; empty without an end."""
-        return END_NAMES[self.predicted.first[i]] if self.predicted.first[i] >= 0 else ""
+        return END_NAMES[self.predicted[i]] if self.predicted[i] >= 0 else ""
 
-    def share(self, holds: Callable[[Driven], bool]) -> float:
+    def share(self, holds: Callable[[MapRun], bool]) -> float:
         """Returns the share of the MuJoCo runs for which something holds."""
         return float(np.mean([holds(one) for one in self.driven.values()]))
 
@@ -91,7 +81,7 @@ class Cells:
     @cached_property
     def others(self) -> frozenset[int]:
         """Returns the cells whose first event in MuJoCo is not the predicted one."""
-        return frozenset(i for i, one in self.driven.items() if one.first != self.predicted.first[i])
+        return frozenset(i for i, one in self.driven.items() if one.first != self.predicted[i])
 
     @property
     def agreement(self) -> float:
@@ -123,58 +113,47 @@ def validity(
     time: Array,
     progress: Callable[[int], None] = lambda done: None,
     loads: tuple[Load, ...] = (),
-    shape: tuple[int, ...] = (),
     every: bool = False,
 ) -> Cells:
     """Predicts the first end over every bump, and runs some of them in MuJoCo.
 
     Args:
-        bumps: bumps of a grid, the last axis running fastest.
+        bumps: bumps of a grid.
         time: equidistant sample times from 0 [s].
         progress: callback that receives the number of predicted cells.
         loads: loads on the body over every bump.
-        shape: cells along each axis of the grid; empty for one axis.
         every: True to run every cell in MuJoCo.
     """
-    predicted = _predicted(vehicle, controller, bumps, time, loads, progress)
-    chosen = np.arange(len(bumps)) if every else _spread(shape or (len(bumps),))
+    used, predicted, when, travel = _predicted(vehicle, controller, bumps, time, loads, progress)
+    wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
+    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # one at random out of so many parts of the grid
+    chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
     runs = driven(vehicle, [(controller, loaded(bumps[i], loads), len(time)) for i in chosen], time)
     boundary = set[int]()
     for factor in (1 - BOUNDARY, 1 + BOUNDARY):
         moved = [replace(bumps[i], height=factor * bumps[i].height) for i in chosen]
-        boundary |= {*chosen[_predicted(vehicle, controller, moved, time, loads).first != predicted.first[chosen]].tolist()}
-    edges = _at_edges(bumps, predicted.used.max(axis=1), shape or (len(bumps),))
-    ends = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
-    found = {i: end for i, end in zip(edges, ends, strict=True) if end is not None}
-    return Cells(tuple(bumps), predicted, dict(zip(chosen.tolist(), runs, strict=True)), frozenset(boundary), found)
+        boundary |= {*chosen[_predicted(vehicle, controller, moved, time, loads)[1] != predicted[chosen]].tolist()}
+    edges = _at_edges(bumps, used.max(axis=1))
+    found = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
+    ends = {i: end for i, end in zip(edges, found, strict=True) if end is not None}
+    results = dict(zip(chosen.tolist(), runs, strict=True))
+    return Cells(tuple(bumps), used, predicted, when, travel, results, frozenset(boundary), ends)
 
 
-def _spread(shape: tuple[int, ...]) -> Array:
-    """Returns the indices of a few cells of a grid that fill it evenly."""
-    count = int(np.prod(shape))
-    wanted = min(count, max(FEWEST, round(count * IN_CELLS)))
-    if len(shape) == 1 or wanted == count:
-        return np.linspace(0, count - 1, wanted).round().astype(int)
-    places = (0.5 + np.multiply.outer(np.arange(wanted), SPREAD)) % 1
-    return np.unique(np.ravel_multi_index(tuple((places * shape).astype(int).T), shape))
-
-
-def _at_edges(bumps: Sequence[Bump], used: Array, shape: tuple[int, ...]) -> list[int]:
+def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
     """Returns the indices of some cells at the edge of the linear regime, at most one of each length and speed, evenly spread.
 
-    At an edge a neighbour lies on its other side. Where the height varies, that is the neighbour with another height.
+    That is where cells of this length and speed are on both sides of it, or one is within `CLOSE`.
     """
-    beyond, size, edges = (used >= 1).reshape(shape), np.abs(np.log(used)).reshape(shape), np.zeros(shape, dtype=bool)
-    heights = np.array([bump.height for bump in bumps]).reshape(shape)
-    varied = [axis for axis in range(len(shape)) if np.ptp(heights, axis=axis).max() > 0]
-    for axis in varied or range(len(shape)):
-        differ, nearer = np.diff(beyond, axis=axis), np.diff(size, axis=axis) < 0
-        first, second = (np.moveaxis(edges, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
-        first |= np.moveaxis(differ & ~nearer, axis, 0)
-        second |= np.moveaxis(differ & nearer, axis, 0)
-    found = {(bumps[i].length, bumps[i].speed): int(i) for i in np.flatnonzero(edges)}
-    most = max(FEWEST, round(len(bumps) * AT_EDGES))
-    return [list(found.values())[k] for k in sorted({*np.linspace(0, len(found) - 1, min(most, len(found))).round().astype(int)})]
+    columns, edges = dict[tuple[float, float], list[int]](), list[int]()
+    for i, bump in enumerate(bumps):
+        columns.setdefault((bump.length, bump.speed), []).append(i)
+    for mine in columns.values():
+        nearest = min(mine, key=lambda i: abs(math.log(used[i])) if used[i] > 0 else math.inf)
+        if 1 / CLOSE < used[nearest] < CLOSE or used[mine].min() < 1 <= used[mine].max():
+            edges.append(nearest)
+    most = min(len(edges), max(FEWEST, round(len(bumps) * AT_EDGES)))
+    return [edges[k] for k in np.linspace(0, len(edges) - 1, most).round().astype(int)]
 
 
 def _predicted(
@@ -184,8 +163,10 @@ def _predicted(
     time: Array,
     loads: tuple[Load, ...],
     progress: Callable[[int], None] = lambda done: None,
-) -> Predicted:
-    """Predicts the ends over bumps: from responses to a metre, to which all else is proportional, or from one of each bump."""
+) -> tuple[Array, Array, Array, Array]:
+    """Returns `used`, `predicted`, `predicted_time` and `travel` of `Cells`, from responses to a metre, to which all else is
+    proportional, or from one of each bump.
+    """
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
     proportional = not (vehicle.is_curved or loads)
     for i, bump in enumerate(bumps):
@@ -207,4 +188,4 @@ def _predicted(
         progress(done)
     if not is_linear(vehicle, controller):
         times[:, REGIME_ENDS.index(DAMPER)] = np.inf
-    return Predicted(used, first_end(times), times.min(axis=1), travel)
+    return used, first_end(times), times.min(axis=1), travel

@@ -32,7 +32,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
         dampers = ("missing_force",) if _has_dampers(cells) else ()
         shares = (f"linear_share_of_{name}" for name in names)
         writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
-        for row, used in zip(_cells(cells, threshold), cells.predicted.used.tolist(), strict=True):
+        for row, used in zip(_cells(cells, threshold), cells.used.tolist(), strict=True):
             of_cell = [*(row[name] for name in (*UNITS, *columns)), *used]
             writer.writerow([*of_cell, *(row[name] for name in dampers), row["simulated"], True])
 
@@ -62,7 +62,7 @@ def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
     for i, bump in enumerate(cells.bumps):
         row: dict[str, Any] = {name: getattr(bump, name) for name in UNITS}
         row |= dict.fromkeys(("error", "holds", "broke_first", "at"))
-        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted.time[i]), "agrees": None}
+        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted_time[i]), "agrees": None}
         row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
         if (one := cells.driven.get(i)) is not None:
             row |= {"error": finite(one.error), "holds": one.error <= threshold, "at": finite(one.time)}
@@ -96,9 +96,9 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
         return f"  {100 * share:5.1f} % of {of}"
 
     analysis = "the analysis with its dampers" if cells.short else "linear analysis"
-    first, count, others = cells.predicted.first, len(cells.driven), len(cells.others)
-    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(np.mean(first < 0))}: nothing breaks"]
-    lines += [f"{share(np.mean(first == i))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
+    first, count, others = cells.predicted, len(cells.driven), len(cells.others)
+    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(float(np.mean(first < 0)))}: nothing breaks"]
+    lines += [f"{share(float(np.mean(first == i)))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
     if np.any(first == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
     lines += ["", f"MuJoCo, run in {count} of {len(cells.bumps)} cells:"]
@@ -164,9 +164,9 @@ def envelope_figure(
     colors = (NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
     nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(cells.predicted.first + 1), colors, (nothing, *first))
+    ground = Classes(x, y, plane(cells.predicted + 1), colors, (nothing, *first))
 
-    curves, used = [], plane(cells.predicted.used.max(axis=-1))
+    curves, used = [], plane(cells.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
         whose = "from responses with its curves" if vehicle.is_curved else whose
@@ -175,7 +175,7 @@ def envelope_figure(
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
-    curves += [Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D")] if at else []
+    curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
     curves += _markers(cells, places, threshold)
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
     return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel)
@@ -196,32 +196,38 @@ def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
         elif one.end:
             kind = (f"it ends, linear analysis is off by more than {within}", VERMILLION, "x")
         kinds.setdefault(kind, []).append(i)
-    return [Curve(*places[mine].T, f"MuJoCo: {label}", color, "none", marker) for (label, color, marker), mine in kinds.items()]
+    return [_marks(places[mine], f"MuJoCo: {label}", color, marker) for (label, color, marker), mine in kinds.items()]
+
+
+def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
+    """Returns markers at points, shape (N, 2)."""
+    return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
 
 
 def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
     """Returns the title of a map; `rest` is what is not varied, in words."""
     which = "analysis with adjustable dampers" if cells.short else "linear analysis"
-    edge = f", and at {len(cells.ends)} ends, within {_within(cells)} of the predicted heights" if cells.ends else ""
+    count = f"{len(cells.ends)} end{'s' * (len(cells.ends) > 1)}"
+    edge = f", and at {count}, within {_within(cells)} of the predicted height" if cells.ends else ""
     ends = (
         f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
     )
     return (
         f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. Colours "
-        f"and line: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
+        f"and lines: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
         f"{100 * cells.agreement:.4g} % {ends}{edge}"
     )
 
 
 def _figure(controller: Controller, cells: Cells, title: str, panel: Panel) -> Figure:
-    holds = float(np.mean(cells.predicted.first < 0))
+    holds = float(np.mean(cells.predicted < 0))
     finding = f"With {as_name(controller.name)} nothing breaks over {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
 def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
     """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
-    x, used = np.array(axis.values), cells.predicted.used
+    x, used = np.array(axis.values), cells.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
         for i, end in enumerate(REGIME_ENDS)
@@ -229,7 +235,7 @@ def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: st
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
-        curves.append(Curve(*np.array(at).T, ENCLOSED, "#000000", "none", "D"))
+        curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1), threshold)
     panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
     return _figure(controller, cells, title, panel)

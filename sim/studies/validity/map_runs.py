@@ -25,7 +25,7 @@ AT_ONCE = 32  # runs in a batch: more would wait for the longest
 
 
 @dataclass(frozen=True)
-class Driven:
+class MapRun:
     """Result of one MuJoCo run.
 
     Attributes:
@@ -78,11 +78,11 @@ def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) 
     return math.inf if math.isnan(apart) else apart
 
 
-def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[Driven]:
+def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[MapRun]:
     """Runs controllers over roads in MuJoCo, each over so many samples or more."""
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])
     at_once = min(AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
-    results = dict[int, Driven]()
+    results = dict[int, MapRun]()
     for chunk in np.array_split(order, math.ceil(len(runs) / at_once)) if runs else ():
         controllers, roads, samples = zip(*(runs[i] for i in chunk), strict=True)
         until = time[: max(samples)]
@@ -93,7 +93,7 @@ def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time:
 
 def _results(
     vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], physics: PhysicsRuns
-) -> Iterator[Driven]:
+) -> Iterator[MapRun]:
     """Yields the results of runs."""
     line, time = vehicle.linearised, physics.response.time
     loops = {id(one): LoopModel(line, one, float(time[1])) for one in controllers}
@@ -109,7 +109,7 @@ def _results(
         ended = float(times.min()) < diverged
         broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if physics.ran_away[i] else DIVERGENCE
         linear = sampled_responses(loops[id(controller)], [RoadInput(line, road, time)]).run(0)
-        yield Driven(
+        yield MapRun(
             float(np.nanmax(shares(vehicle, controller, response))),
             int(first_end(times)) if ended else -1,
             float(times.min()) if ended else math.inf,
