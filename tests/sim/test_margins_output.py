@@ -144,7 +144,7 @@ def test_the_kind_says_what_varies(hopper, monkeypatch):
         assert corner.norm <= box.norm
     assert box.holds
     fragile, found = find_fragility(vehicle, controller, 4e-3), find_margins(vehicle, controller, 4e-3)[""]
-    panel = margins_figure(vehicle, controller, found, fragile, box, 4e-3).panels[-1]
+    panel = margins_figure(vehicle, controller, found, None, fragile, box).panels[-1]
     assert (panel.xlabel, panel.ylabel) == ("weight [% off]", "tyre rate [% off]")
     drawn = [curve.x for curve in panel.curves if isinstance(curve, Curve) and curve.marker in "ox" and curve.marker]
     assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
