@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
     from sim.studies.stability.fragility import find_fragility
-    from sim.studies.stability.margin_search import LONGEST, find_margins, find_margins_as_built
+    from sim.studies.stability.margin_search import LONGEST, find_implemented_margins, find_margins
     from sim.studies.stability.report import margins_lines, margins_object, verdict
     from sim.studies.stability.robustness import read_variations, robustness
     from synth.vehicle.designer import Designer
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     margins = find_margins(vehicle, controller, options.timestep, stage)
     built = {}
     if not as_built.implementation.undelayed:
-        built = find_margins_as_built(with_computer, controller, options.timestep, stage)
+        built = find_implemented_margins(with_computer, controller, options.timestep, stage)
     stage("fragility")
     fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", timestep: float) -> None:
-    """Checks that a loop has margins: the ideal one, and the one as built.
+    """Checks that a loop has margins: the ideal one, and the one as implemented.
 
     Raises:
         InputError: a loop is unstable, or the controller has no gain.
@@ -165,8 +165,8 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
     if LoopModel(built, controller, timestep).radius >= 1:
         how = ", ".join(built.implementation.without_noise.phrases)
         raise InputError(
-            f"controller {name!r} has no margin, for its loop is not stable as built ({how}); give a shorter sample_period, or a "
-            "shorter delay"
+            f"controller {name!r} has no margin, for its implemented loop is not stable ({how}); give a "
+            "shorter sample_period or delay"
         )
 
 
@@ -193,7 +193,7 @@ def _which_loop(vehicle: "Vehicle") -> str:
     slopes = lines_at_rest(vehicle.fitted)
     lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
     if bent_at_rest(vehicle):
-        lines += "; MuJoCo has these lines, as a curve bends at rest"
+        lines += "; MuJoCo has these lines, as a curve that bends at rest has no derivative there"
     if vehicle.ideal and not vehicle.dampers:
         return lines
     how = vehicle.implementation

@@ -229,7 +229,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
 
 def _obviously(value: Any, annotation: Any) -> bool:
     """Returns True for a text, a number or a truth value that fits without a further look; most fields of a linear model do."""
-    return type(value) is annotation and annotation in WORDS and value == value  # NaN is not equal to itself
+    return annotation in (str, float, int, bool) and type(value) is annotation and value == value  # NaN is not equal to itself
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:

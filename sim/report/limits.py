@@ -32,7 +32,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     # A quick report has no margins, and waits for none of their searches to be imported.
     from sim.studies.stability.figure import margins_figure
     from sim.studies.stability.fragility import find_fragility
-    from sim.studies.stability.margin_search import find_all, searches, searches_as_built
+    from sim.studies.stability.margin_search import find_all, implemented_searches, searches
     from sim.studies.stability.robustness import robustness, varied_text
 
     rows, figures, robust, statements = [], [], [], []
@@ -40,7 +40,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     actuators = range(len(vehicle.linear_model.inputs))
     timestep = scope.margins_timestep
     loops = [searches(vehicle, one, actuators, timestep) for one in scope.active]
-    built = [] if scope.prompt else [searches_as_built(scope.vehicle, one, actuators, timestep) for one in scope.active]
+    built = [] if scope.prompt else [implemented_searches(scope.vehicle, one, actuators, timestep) for one in scope.active]
     find_all([*loops, *built])
     scope.progress("other vehicles")
     boxes = robustness(vehicle, scope.active, timestep)
@@ -49,7 +49,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
         errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
         pairs = []
-        for each, of in ((as_built, " as built"), (loop, "" if as_built is None else ", ideal loop")):
+        for each, of in ((as_built, ""), (loop, "" if as_built is None else ", ideal loop")):
             if each is not None:
                 pairs += [
                     (f"gain{of}, factor", each.predicted.gain, each.gain.found, each.gain.extrapolated),
@@ -106,7 +106,8 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     )
     text = (*text, *(f"{as_name(one.name)}: {promise.text}." for one in scope.active for promise in one.robustness))
     if not scope.is_ideal:
-        about = f"Delay, sample period and errors are those of the loop without [implementation]{scope.lag}."
+        about = "" if scope.prompt else "Gain, phase and disk margins are those of the implemented loop, beside the ideal ones. "
+        about += f"Delay, sample period and errors are those of the loop without [implementation]{scope.lag}."
         about += f" Its {scope.vehicle.implementation.noise_text} is not included." if scope.blurred else ""
         text = (*text, f"{about} The nominal norm is the ideal loop's, too.")
     title = "How much goes wrong before it becomes unstable?"

@@ -1,4 +1,4 @@
-"""The derivative of MuJoCo's own step: loops from sample to sample, runs that start in their slowest mode, margins as built."""
+"""The derivative of MuJoCo's own step: loops from sample to sample, runs that start in their slowest mode, implemented loops."""
 
 import dataclasses
 import json
@@ -17,7 +17,7 @@ from sim.linear.nonlinear_elements import at_rest
 from sim.margins import main
 from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
-from sim.studies.stability.margin_search import find_margins_as_built, searches_as_built
+from sim.studies.stability.margin_search import find_implemented_margins, implemented_searches
 from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
 from synth.controller.stability_margins import sampled_margins
 from synth.vehicle.designer import certify_given
@@ -77,7 +77,7 @@ def test_a_run_that_contradicts_its_loop_is_no_agreement(paper, designer, monkey
     """Margins do not agree if MuJoCo's runs decay where its derivative grows; if they move too little, nothing is found."""
     for rates, confirmed, decided in (([-1.0, -1.0], False, True), ([math.nan, math.nan], True, False)):
         monkeypatch.setattr(edge, "rates_of_runs", lambda trials, loops, rates=rates: rates)
-        one = searches_as_built(
+        one = implemented_searches(
             dataclasses.replace(paper, implementation=Implementation(sample_period=0.01)), designer.design("I"), [0], 1e-3
         )
         edge.search_and_run([one.delay])
@@ -104,7 +104,9 @@ def test_margins_are_those_of_the_loop_as_built(paper, tmp_path, capsys):
         scaled = dataclasses.replace(controller, law=controller.law.scaled(side * result["gain"]["predicted"]))
         assert (sampled_radius(vehicle, scaled, 1e-3) > 1) == (side > 1)
     file.write_text(f"{paper.text}\n[implementation]\n{LATE}gain = [[-6000.0, 1800.0]]\n")
-    with pytest.raises(InputError, match="not stable as built \\(a sample every 10 ms, forces that act 2 samples late\\)"):
+    with pytest.raises(
+        InputError, match="implemented loop is not stable \\(a sample every 10 ms, forces that act 2 samples late\\)"
+    ):
         main(["--vehicle", str(file), "--controller", "V"])
 
 
@@ -122,9 +124,9 @@ def test_sampled_margins_are_those_of_python_control():
 
 
 def test_loops_of_several_forces_as_built():
-    """Each loop of a half-car as built has its own gain margin, at least that of both; the delay is that of both."""
+    """Each loop of a half-car as implemented has its own gain margin, at least that of both; the delay is that of both."""
     vehicle = dataclasses.replace(read_vehicle("half_car"), implementation=Implementation(sample_period=0.01, delay=1.5))
-    margins = find_margins_as_built(vehicle, designed(vehicle, "I"), 1e-3)
+    margins = find_implemented_margins(vehicle, designed(vehicle, "I"), 1e-3)
     assert all(one.agrees for one in margins.values())
     assert min(one.predicted.gain for one in margins.values()) == margins[""].predicted.gain
     assert margins[""].found_delay == margins[""].predicted_delay

@@ -11,7 +11,7 @@ from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.margins import main
-from sim.studies.stability.edge import Edge, search_and_run, smallest_unstable
+from sim.studies.stability.edge import StabilityEdge, search_and_run, smallest_unstable
 from sim.studies.stability.fragility import find_fragility, with_errors
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.report import _loop_lines, _loop_object
@@ -162,10 +162,10 @@ def test_infinite_margins_in_physics(paper):
     assert found.agrees
 
 
-def search_that_found(amount: float) -> Edge:
+def search_that_found(amount: float) -> StabilityEdge:
     """A search that has ended there; nowhere if it is infinite."""
     ends = (1.0, math.inf) if math.isinf(amount) else (0.9995 * amount, 1.0005 * amount)
-    return Edge(None, lambda amount: amount, amount, 32.0, 0.0, *ends, searched=True)  # type: ignore[arg-type]
+    return StabilityEdge(None, lambda amount: amount, amount, 32.0, 0.0, *ends, searched=True)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

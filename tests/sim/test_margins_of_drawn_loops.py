@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.physics.simulate import simulate
 from sim.studies.stability.fragility import find_fragility
-from sim.studies.stability.margin_search import find_margins, find_margins_as_built
+from sim.studies.stability.margin_search import find_implemented_margins, find_margins
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import certify_given, design
 from tests.support.commands import attacks
@@ -87,7 +87,7 @@ def sides(edge):
 def test_drawn_loops_agree_and_every_edge_is_one(seed):
     """No margin of a drawn loop disagrees. After a bump, runs of ten time constants decay below each edge and grow above it."""
     vehicle, ideal, controller = drawn_loop(seed)
-    margins = [find_margins(ideal, controller, TIMESTEP)[""], find_margins_as_built(vehicle, controller, TIMESTEP)[""]]
+    margins = [find_margins(ideal, controller, TIMESTEP)[""], find_implemented_margins(vehicle, controller, TIMESTEP)[""]]
     fragile = find_fragility(ideal, controller, TIMESTEP)
     assert all(one.agrees for one in margins)
     assert fragile.agrees

@@ -29,7 +29,7 @@ def no_progress(message: str) -> None:
 
 
 @dataclass(eq=False)
-class Edge:
+class StabilityEdge:
     """Search for the smallest amount of something that makes a loop unstable.
 
     Attributes:
@@ -87,7 +87,7 @@ class Edge:
 
 
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
-    """Returns the largest amount that decays and the smallest that grows, next to each other; see `Edge` for the arguments.
+    """Returns the largest amount that decays and the smallest that grows, next to each other; arguments as in `StabilityEdge`.
 
     The search looks at both sides of the expected amount first, and else begins at the smallest amount.
     """
@@ -117,7 +117,7 @@ def smallest_unstable(grows: Callable[[float], bool], expected: float, most: flo
     return stable, unstable
 
 
-def search_and_run(edges: Sequence[Edge], progress: Callable[[str], None] = no_progress) -> None:
+def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], None] = no_progress) -> None:
     """Searches for edges of one timestep, and runs both sides of each, all in one batch."""
     for number, edge in enumerate(edges):
         progress(f"{len(edges) - number} margins to go")

@@ -1,7 +1,7 @@
 """Margins drawn: growth or decay with more gain, delay and sample period, the norm with errors, and on other vehicles."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from models.common.printed import as_name
 from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
-from sim.studies.stability.edge import Edge
+from sim.studies.stability.edge import StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import LoopMargins
 from sim.studies.stability.robustness import Robustness
@@ -47,7 +47,7 @@ def margins_figure(
     Args:
         vehicle: the vehicle, its controller ideal.
         loop: margins of all its loops together.
-        built: the same of the loop as built; None if that is ideal.
+        built: the same of the implemented loop; None if that is ideal.
         box: the controller on other vehicles, or None if the kind has no variations.
     """
     timestep = loop.timestep
@@ -61,7 +61,7 @@ def margins_figure(
     gain = loop.gain
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
     title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
-    searches: list[tuple[str, Edge, float, float, float, str, str]] = [
+    searches: list[tuple[str, StabilityEdge, float, float, float, str, str]] = [
         (title, gain.search, gain.sampled[0], gain.search.found, 1.0, "factor on the gain", ""),
         ("delay from measurement to force", loop.delay, loop.predicted.delay, loop.found_delay, 1e3, "delay [ms]", " ms"),
         (
@@ -76,7 +76,7 @@ def margins_figure(
     ]
     if built is not None:
         of = built.gain
-        searches.insert(0, ("more gain, as built", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
+        searches.insert(0, ("more gain, as implemented", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
     lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
     phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
     panels = []
@@ -100,22 +100,27 @@ def margins_figure(
     return Figure("margins", title, tuple(panels), finding=finding)
 
 
-def _search_panel(title: str, label: str, search: Edge, rate: Callable[[Trial], float], scale: float) -> Panel:
+def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[Trial], float], scale: float) -> Panel:
     """The predicted rate over the amount, and that of MuJoCo's step at a few amounts and where it changes its sign."""
     # Far from the margin nothing is to be seen, and the rates are large.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
     known = [amount for amount in (search.stable, search.unstable) if 0 < amount < math.inf]
-    amounts: Array = np.unique([*np.linspace(0.0, end, POINTS), *known])
-    rates = np.array([rate(search.trial(max(amount, search.multiple))) for amount in amounts])
+    amounts, points = (_multiples([*np.linspace(0.0, end, count), *known], search.multiple) for count in (POINTS, MEASURED))
+    rates = np.array([rate(search.trial(amount)) for amount in amounts])
     curves = [Curve(scale * amounts, rates, "linear analysis", LINE)]
-    points = np.unique([*np.linspace(0.0, end, MEASURED)[1:], *known])
-    measured = np.array([search.loop(max(amount, search.multiple)).rate for amount in points])
+    measured = np.array([search.loop(amount).rate for amount in points])
     for grows, color, marker, name in MARKERS:
         some = (measured > 0) == grows
         curves.append(Curve(scale * points[some], measured[some], name, color, "none", marker))
     curves.append(Curve(np.array([0.0, scale * end]), np.zeros(2), "", "#000000", width=0.8))
     top = min(1.1 * rates.max(), -4 * rates.min()) if rates.max() > 0 else -0.3 * rates.min()
     return Panel(title, label, "growth of the loop [1/s]", tuple(curves), ylim=(1.3 * rates.min(), top))
+
+
+def _multiples(amounts: Sequence[float], multiple: float) -> Array:
+    """Returns amounts as multiples of one, from the first on; unchanged for real numbers."""
+    given = np.array(amounts)
+    return np.unique(np.maximum(np.round(given / multiple), 1) * multiple if multiple else given)
 
 
 def _fragile_panel(fragile: FragilityFound) -> Panel:

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.edge import Edge, no_progress, search_and_run
+from sim.studies.stability.edge import StabilityEdge, no_progress, search_and_run
 from sim.studies.stability.margin_search import GainMargin
 from sim.studies.stability.simulated_loop import STANDS, Trial, step_derivative
 from synth.analysis.certificate import Certificate
@@ -85,7 +85,7 @@ def find_fragility(
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
     coarse, fine = (
-        Edge(step_derivative(vehicle, step), trial, expected, MOST)
+        StabilityEdge(step_derivative(vehicle, step), trial, expected, MOST)
         for step, expected in ((timestep, at), (timestep / 2, at_half))
     )
     edge = FragilityEdge(_inside(predicted.stable.smallest_violation), (at, at_half), coarse, fine)

@@ -1,7 +1,7 @@
 """The margins of a loop, predicted from its transfer function and found in MuJoCo (`edge.py`)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
-from sim.studies.stability.edge import SLOWEST, Edge, no_progress, search_and_run, smallest_unstable
-from sim.studies.stability.simulated_loop import Trial, step_derivative
+from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
+from sim.studies.stability.simulated_loop import StepDerivative, Trial, step_derivative
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
@@ -41,8 +41,8 @@ class GainMargin:
 
     own: float
     sampled: tuple[float, float]
-    search: Edge
-    finer: Edge
+    search: StabilityEdge
+    finer: StabilityEdge
 
     @property
     def doubtful(self) -> bool:
@@ -85,8 +85,8 @@ class LoopMargins:
         predicted: margins from the loop transfer function.
         gain: search for the largest gain factor.
         gain_lower: search for the smallest factor, as its inverse.
-        delay: search for the delay; beyond its own for a loop as built.
-        sample_period: search for the sample period; not run for a loop as built.
+        delay: search for the delay; beyond its own for an implemented loop.
+        sample_period: search for the sample period; not run for an implemented loop.
         timestep: timestep of the physics [s].
         predicted_delay: smallest unstable delay of the linear loop [s].
     """
@@ -94,8 +94,8 @@ class LoopMargins:
     predicted: Margins
     gain: GainMargin
     gain_lower: GainMargin
-    delay: Edge
-    sample_period: Edge
+    delay: StabilityEdge
+    sample_period: StabilityEdge
     timestep: float
     predicted_delay: float
 
@@ -133,7 +133,7 @@ class LoopMargins:
         )
 
 
-def _is_seen(edge: Edge, predicted: float) -> bool:
+def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
     """Returns True if an edge was searched and runs decide it: they are long enough for what is predicted [s]."""
     within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
     return edge.searched and edge.decided and within
@@ -178,13 +178,13 @@ def find_margins(
     return margins
 
 
-def find_margins_as_built(
+def find_implemented_margins(
     vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
     """Returns the margins of gain, phase and disk of the loop with its sample period and delay; see `find_margins`."""
-    margins = {name: searches_as_built(vehicle, controller, actuators, timestep) for name, actuators in loops_of(vehicle).items()}
-    find_all(list(margins.values()), progress)
-    return margins
+    loops = {name: implemented_searches(vehicle, controller, some, timestep) for name, some in loops_of(vehicle).items()}
+    find_all(list(loops.values()), progress)
+    return loops
 
 
 def loops_of(vehicle: Vehicle) -> dict[str, list[int]]:
@@ -203,93 +203,93 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
-    loop = loop_transfer(vehicle, controller, actuators)
-    predicted = margins(loop)
+    predicted = margins(loop_transfer(vehicle, controller, actuators))
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
-    step, half = step_derivative(vehicle, timestep), step_derivative(vehicle, timestep / 2)
+    steps = step_derivative(vehicle, timestep), step_derivative(vehicle, timestep / 2)
 
-    def with_gain(factor: float) -> Trial:
-        return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
-
-    def gain_margin(own: float, power: int) -> GainMargin:
-        # A factor to this power is an amount above 1: how many times more gain, or how many times less.
-        coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
-        ends = (Edge(on, lambda amount: with_gain(amount**power), at, AMPLE) for on, at in ((step, coarse), (half, fine)))
-        return GainMargin(own**power if own else math.inf, (coarse, fine), *ends)
-
-    def built(how: Implementation, whole: bool = False) -> Trial:
+    def with_computer(how: Implementation, whole: bool = False) -> Trial:
         on = replace(vehicle, implementation=how)
         return Trial(on, controller) if whole else Trial(on, cut_out, rest if rest.law.acts else None)
 
     def delayed(amount: float) -> Trial:
-        return built(Implementation(delay=round(amount / timestep)))
+        return with_computer(Implementation(delay=round(amount / timestep)))
 
     def sampled_at(period: float) -> Trial:
-        return built(Implementation(sample_period=period), predicted.all_sampled)
+        return with_computer(Implementation(sample_period=period), predicted.all_sampled)
 
     sampled = [
-        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, each, actuators, taylor4))
-        for each in (timestep, timestep / 2)
+        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step.timestep, actuators, taylor4)) for step in steps
     ]
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     period = predicted.sample_period
     return LoopMargins(
-        predicted=predicted,
-        gain=gain_margin(predicted.gain, 1),
-        gain_lower=gain_margin(predicted.gain_lower, -1),
-        delay=Edge(step, delayed, late if late < SLOWEST else math.inf, LONGEST, timestep),
-        sample_period=Edge(step, sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep),
+        predicted,
+        *_gain_margins(vehicle, controller, mine, predicted, steps, sampled),
+        delay=StabilityEdge(steps[0], delayed, late if late < SLOWEST else math.inf, LONGEST, timestep),
+        sample_period=StabilityEdge(steps[0], sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep),
         timestep=timestep,
         predicted_delay=predicted.delay,
     )
 
 
-def searches_as_built(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
+def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """Returns the same for the loop with its sample period and delay. The delay is searched if the loop is cut at all actuators.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep.
     """
-    how, model = vehicle.implementation.without_noise, LoopModel(vehicle, controller, timestep)
+    how = vehicle.implementation.without_noise
+    loop = LoopModel(replace(vehicle, implementation=how), controller, timestep)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
-    predicted = sampled_margins(*_cut(model, actuators), model.period)
+    predicted = sampled_margins(*_cut(loop, actuators), loop.period)
     step = step_derivative(replace(vehicle, implementation=Implementation()), timestep)
 
-    def with_gain(factor: float) -> Trial:
-        law = controller.law.scaled(np.where(mine, factor, 1.0))
-        return Trial(replace(vehicle, implementation=how), replace(controller, law=law))
-
-    def gain_margin(own: float, power: int) -> GainMargin:
-        own = own**power if own else math.inf
-        ends = (Edge(step, lambda amount: with_gain(amount**power), own, AMPLE) for _ in range(2))
-        return GainMargin(own, (own, own), *ends)
-
     def later(amount: float) -> Trial:
-        steps = round(how.delay * model.steps) + round(amount / timestep)
-        return Trial(replace(vehicle, implementation=replace(how, delay=steps / model.steps)), controller)
+        steps = round(how.delay * loop.steps) + round(amount / timestep)
+        return Trial(replace(vehicle, implementation=replace(how, delay=steps / loop.steps)), controller)
 
-    def loses(amount: float) -> bool:
+    def grows(amount: float) -> bool:
         return LoopModel(later(amount).vehicle, controller, timestep).radius > 1
 
-    late = predicted.delay if predicted.delay < SLOWEST else math.inf
-    bracket = (0.0, math.inf)
-    if mine.all() and math.isfinite(late):
-        bracket = smallest_unstable(loses, late, LONGEST, timestep)
+    late = math.inf  # the hold is not delayed as a phase is: near half the sample rate, that is not the same
+    if mine.all() and predicted.delay < SLOWEST:
+        late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
+    factors = [factor for factor in (predicted.gain, predicted.gain_lower) if 0 < factor < math.inf]
     return LoopMargins(
-        predicted=predicted,
-        gain=gain_margin(predicted.gain, 1),
-        gain_lower=gain_margin(predicted.gain_lower, -1),
-        delay=Edge(step, later, bracket[1] - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
-        sample_period=Edge(step, later, math.inf, 0.0),
+        predicted,
+        *_gain_margins(loop.vehicle, controller, mine, predicted, (step, step), [factors, factors]),
+        delay=StabilityEdge(step, later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
+        sample_period=StabilityEdge(step, later, math.inf, 0.0),
         timestep=timestep,
-        predicted_delay=bracket[1],
+        predicted_delay=late if math.isfinite(late) else predicted.delay,
     )
 
 
-def _cut(model: LoopModel, actuators: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Returns Phi, Gamma and G of a loop as built from sample to sample, cut at some actuators."""
-    loop = model.closed_loop
-    G = np.hstack([loop.open_loop.asked, np.zeros((loop.open_loop.forces, len(loop.transition) - loop.open_loop.asked.shape[1]))])
-    Gamma, G = loop.added[:, list(actuators)], G[list(actuators)]
-    return loop.transition - Gamma @ G, Gamma, G
+def _gain_margins(
+    vehicle: Vehicle,
+    controller: Controller,
+    mine: Array,
+    predicted: Margins,
+    steps: tuple[StepDerivative, StepDerivative],
+    sampled: Sequence[Sequence[float]],
+) -> Iterator[GainMargin]:
+    """Yields the gain margin of some forces and the lower one; `sampled` has the factors at which the sampled loops change."""
+
+    def with_gain(factor: float) -> Trial:
+        return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
+
+    for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
+        # A factor to this power is an amount above 1: how many times more gain, or how many times less.
+        coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
+        pairs = zip(steps, (coarse, fine), strict=True)
+        ends = (StabilityEdge(step, lambda amount, k=power: with_gain(amount**k), at, AMPLE) for step, at in pairs)
+        yield GainMargin(own**power if own else math.inf, (coarse, fine), *ends)
+
+
+def _cut(loop: LoopModel, actuators: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Returns Phi, Gamma and G of the implemented loop from sample to sample, cut at some actuators."""
+    closed, asked = loop.closed_loop, loop.open_loop.asked
+    G = np.pad(asked, ((0, 0), (0, len(closed.transition) - asked.shape[1])))[list(actuators)]
+    Gamma = closed.added[:, list(actuators)]
+    return closed.transition - Gamma @ G, Gamma, G

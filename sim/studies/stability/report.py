@@ -6,7 +6,7 @@ from typing import Any
 
 from models.common.printed import WIDTH, finite, wrapped
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.edge import SLOWEST, Edge
+from sim.studies.stability.edge import SLOWEST, StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
@@ -17,7 +17,7 @@ from synth.design.uncertainty.fragility import errors_text, fragility_object, pr
 UNDECIDED = "not found: the slowest mode creeps"
 TOO_LONG = f"longer ones than {SLOWEST:g} s are not run"
 NAME, CELL = 24, 12  # columns of a table of margins
-AS_BUILT = "gain", "phase", "disk"  # margins of the loop as built
+IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
 COUNTERPART = "the law is discrete: all numbers are of the continuous law whose Tustin transform it is"
 
 
@@ -31,12 +31,12 @@ def margins_object(
 ) -> dict[str, Any]:
     """Returns the result as a JSON object: SI units, None for infinite or missing values.
 
-    With `built`, margins of gain, phase and disk are those of the loop as built, and `ideal` has the ideal ones.
+    With `built`, margins of gain, phase and disk are those of the implemented loop, and `ideal` has the ideal ones.
     """
     objects = {name: _loop_object(one) for name, one in margins.items()}
     for name, one in built.items():
-        ideal = {key: objects[name][key] for key in AS_BUILT}
-        objects[name] |= {key: value for key, value in _loop_object(one).items() if key in AS_BUILT} | {"ideal": ideal}
+        ideal = {key: objects[name][key] for key in IMPLEMENTED}
+        objects[name] |= {key: value for key, value in _loop_object(one).items() if key in IMPLEMENTED} | {"ideal": ideal}
     whole = objects.pop("")
     result = {"controller": controller.name, **whole, "loops": objects}
     names = controller.measured, vehicle.linear_model.inputs
@@ -124,7 +124,7 @@ def margins_lines(
     law = controller.law
     fixed = law.sample_period if law.states else None
     lines, brief = [COUNTERPART] if fixed is not None else [], []
-    whose = [(name, one, " as built") for name, one in built.items()]
+    whose = [(name, one, " as implemented") for name, one in built.items()]
     for name, one, of in [*whose, *((name, one, ", ideal" if built else "") for name, one in margins.items())]:
         if name and one.agrees and not verbose:
             brief += _brief_lines(f"{name}{of}", one)
@@ -182,7 +182,7 @@ def verdict(
     margins: dict[str, LoopMargins], built: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> str:
     """Returns the verdict on the predicted margins."""
-    wrong = [f"{_called(name, len(margins))} as built" for name, one in built.items() if not one.agrees]
+    wrong = [f"{_called(name, len(margins))} as implemented" for name, one in built.items() if not one.agrees]
     wrong += [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
     if not fragile.agrees:
         wrong.append(f"errors of {whose(fragile.predicted)}")
@@ -240,7 +240,7 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     return _table(title, rows)
 
 
-def _noted_edge(edge: Edge, found: float, note: str) -> str:
+def _noted_edge(edge: StabilityEdge, found: float, note: str) -> str:
     """Returns a note on a time at which a loop is lost, with the reason if no run decides it."""
     if not edge.decided:
         return "; ".join(filter(None, (note, UNDECIDED)))
