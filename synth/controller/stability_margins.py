@@ -31,7 +31,7 @@ from synth.controller.loop_transfer import LoopTransfer
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
-ANGLES, FEWER_ANGLES = 4001, 1001  # from no lag to a whole turn; odd, so that half a turn is among them
+ANGLES, FEWER_ANGLES = 4001, 501  # from no lag to a whole turn; odd, so that half a turn is among them
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
 FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
 TOGETHER = 128  # sample periods of one batch

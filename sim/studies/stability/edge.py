@@ -18,7 +18,7 @@ from sim.studies.stability.simulated_loop import SimulatedLoop, StepDerivative, 
 WIDTH = 2e-3  # relative; of the bracket of a real number
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # times what is expected
 CHANGE = 0.1  # of the size of a mode over its run, where it moves as much in time
-SHORTEST, LONGEST = 0.1, 0.25  # s; of a run, unless its delay is longer
+SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0  # s; of a run, unless its delay is longer, and of a slow mode
 CLEAR = 1e-5  # change of a mode over its run that is told from geometry and rounding
 SLOWEST = 8.0  # s; longer delays and sample periods are not run
 BLOCK = 512  # timesteps
@@ -153,7 +153,8 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
 
 def _duration(loop: SimulatedLoop) -> float:
     """Returns how long a run takes [s]: until its mode has changed, or all pending forces have acted."""
-    needed = min(max(CHANGE / abs(loop.rate), SHORTEST), LONGEST)
+    rate = max(abs(loop.rate), CLEAR / SLOW)
+    needed = min(max(CHANGE / rate, SHORTEST), max(LONGEST, min(20 * CLEAR / rate, SLOW)))
     return max(math.ceil(needed / loop.period), loop.delay + 2) * loop.period
 
 

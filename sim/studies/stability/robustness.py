@@ -23,7 +23,7 @@ from sim.runs.prediction import predict
 from sim.runs.run import compare_runs, sample_times
 from sim.studies.stability.edge import no_progress
 from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
-from synth.analysis.norm import hinf_norm
+from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 
@@ -159,10 +159,11 @@ def robustness(
         known: dict[tuple[float, ...], float] = {}
 
         def norm(factors: Sequence[float], of: Controller = controller, known: dict[tuple[float, ...], float] = known) -> float:
-            """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
+            """The H-infinity norm on the vehicle with these factors, by one route; infinite where unstable."""
             at = tuple(map(float, factors))
             if at not in known:
-                known[at] = hinf_norm(of.loop(_with_factors(vehicle, variations, at))).value
+                gain = Gain(of.loop(_with_factors(vehicle, variations, at)))
+                known[at] = by_level_sets(gain)[0] if gain.stable else math.inf
             return known[at]
 
         factors, norms, worst, at = _worst(norm, varied)
@@ -171,7 +172,7 @@ def robustness(
             Robustness(
                 varied=varied,
                 computed=len(known),
-                norm=worst,
+                norm=hinf_norm(controller.loop(_with_factors(vehicle, variations, at))).value if math.isfinite(worst) else worst,
                 at=_changed(vehicle, variations, at),
                 corners=tuple(
                     ParameterVertex(corner, _changed(vehicle, variations, corner), norm(corner), not grows, agrees)
