@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from synth.controller.controller import Controller
 
 
+RECORDED = 4.0  # s, of a recorded run
+
 EPILOG = """
 errors [%]: each measurement has a factor of its own between 1 - error and 1 + error. With several forces, so has each force. With
 one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search finds the worst errors,
@@ -76,8 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
     from sim.studies.stability.fragility import find_fragility
-    from sim.studies.stability.growth_test import LONGEST
-    from sim.studies.stability.margin_search import find_margins
+    from sim.studies.stability.margin_search import LONGEST, find_implemented_margins, find_margins
     from sim.studies.stability.report import margins_lines, margins_object, verdict
     from sim.studies.stability.robustness import read_variations, robustness
     from synth.vehicle.designer import Designer
@@ -93,10 +94,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
     stage("design")
     sample_times(vehicle, LONGEST, options.timestep)
-    controller = _with_loop(vehicle, Designer(as_built, search=False).design(name), options.timestep)
+    controller = Designer(as_built, search=False).design(name)
+    with_computer = replace(vehicle, implementation=as_built.implementation)
+    _check_loop(vehicle, with_computer, controller, options.timestep)
     warn(vehicle, [controller])
     stage("margins")
     margins = find_margins(vehicle, controller, options.timestep, stage)
+    built = {}
+    if not as_built.implementation.undelayed:
+        built = find_implemented_margins(with_computer, controller, options.timestep, stage)
     stage("fragility")
     fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
@@ -106,13 +112,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from models.figures.picture import write_picture
         from sim.studies.stability.figure import margins_figure
 
-        write_picture(margins_figure(vehicle, controller, margins[""], fragile, box, options.timestep), options.picture)
-    result = {
-        **margins_object(vehicle, controller, margins, fragile, box),
-        "loop": _which_loop(as_built) or None,
-    }
-    built = replace(as_built, implementation=Implementation())
-    delayed = functools.partial(_delayed_runs, built, controller, margins[""], options.timestep)
+        write_picture(margins_figure(vehicle, controller, margins[""], built.get(""), fragile, box), options.picture)
+    result = {}
+    if options.json or options.logs is not None:
+        result = margins_object(vehicle, controller, margins, built, fragile, box) | {"loop": _which_loop(as_built) or None}
+    undelayed = replace(as_built, implementation=Implementation())
+    delayed = functools.partial(_delayed_runs, undelayed, controller, margins[""], options.timestep)
     of_file = replace(given, implementation=Implementation())
     logs = recorded(options, of_file, [controller.name], delayed, result)
     stage.end()
@@ -121,14 +126,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
-        lines += margins_lines(vehicle, controller, margins, fragile, box, options.verbose)
-        say([*lines, *written_lines(outputs), *log_lines([logs]), "", verdict(margins, fragile, box)])
-    agrees = fragile.agrees and all(one.agrees for one in margins.values())
+        lines += margins_lines(vehicle, controller, margins, built, fragile, box, options.verbose)
+        say([*lines, *written_lines(outputs), *log_lines([logs]), "", verdict(margins, built, fragile, box)])
+    agrees = fragile.agrees and all(one.agrees for one in (*margins.values(), *built.values()))
     return 0 if agrees and (box is None or box.holds) else 1
 
 
-def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":
-    """The controller, if its loop is one that has margins."""
+def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", timestep: float) -> None:
+    """Checks that a loop has margins: the ideal one, and the one as implemented.
+
+    Raises:
+        InputError: a loop is unstable, or the controller has no gain.
+    """
     from synth.controller.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
     from synth.controller.report import sign_note
@@ -153,20 +162,26 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
             f"controller {name!r} is not stable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
             "step) or with its actuators' lag; give a smaller timestep or a larger actuator_bandwidth"
         )
-    return controller
+    if LoopModel(built, controller, timestep).radius >= 1:
+        how = ", ".join(built.implementation.without_noise.phrases)
+        raise InputError(
+            f"controller {name!r} has no margin, for its implemented loop is not stable ({how}); give a "
+            "shorter sample_period or delay"
+        )
 
 
 def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargins", timestep: float) -> "dict[str, Run]":
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
+    from models.roads.road import Bump
     from models.vehicle.limits_and_implementation import Implementation
     from sim.runs.run import run_controllers, sample_times
-    from sim.studies.stability.growth_test import BUMP, SHORTEST
 
+    bump = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over; lifts none
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
-    time, runs = sample_times(vehicle, SHORTEST, timestep), {}
+    time, runs = sample_times(vehicle, RECORDED, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
-        (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], BUMP, time)
+        (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], bump, time)
     return runs
 
 
@@ -178,7 +193,7 @@ def _which_loop(vehicle: "Vehicle") -> str:
     slopes = lines_at_rest(vehicle.fitted)
     lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
     if bent_at_rest(vehicle):
-        lines += "; MuJoCo has these lines, as a curve bends at rest"
+        lines += "; MuJoCo has these lines, as a curve that bends at rest has no derivative there"
     if vehicle.ideal and not vehicle.dampers:
         return lines
     how = vehicle.implementation

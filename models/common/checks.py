@@ -209,20 +209,27 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
     elif inner and issubclass(outer, Mapping):
         fits = isinstance(value, Mapping)
         for key, one in value.items() if fits else ():
-            _fit(place, key, inner[0])
-            _fit(f"{place}[{quoted(key)}]", one, inner[1])
+            if not (_obviously(key, inner[0]) and _obviously(one, inner[1])):
+                _fit(place, key, inner[0])
+                _fit(f"{place}[{quoted(key)}]", one, inner[1])
     elif inner and issubclass(outer, Iterable):
         value = plain(value)
         if fits := isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
             items = tuple(value)
             each = inner if outer is tuple and inner[-1] is not ... else inner[:1] * len(items)
             if fits := len(each) == len(items):
-                value = tuple(_fit(f"{place}[{i}]", item, each[i]) for i, item in enumerate(items))
+                pairs = enumerate(zip(items, each, strict=True))
+                value = tuple(item if _obviously(item, of) else _fit(f"{place}[{i}]", item, of) for i, (item, of) in pairs)
     else:
         value, fits = _simple(value, outer)
     if not fits:
         raise _UnfitError(place, given, allowed)
     return value
+
+
+def _obviously(value: Any, annotation: Any) -> bool:
+    """Returns True for a text, a number or a truth value that fits without a further look; most fields of a linear model do."""
+    return annotation in (str, float, int, bool) and type(value) is annotation and value == value  # NaN is not equal to itself
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:

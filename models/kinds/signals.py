@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from models.common.checks import Checked
 
@@ -26,12 +27,18 @@ class Signal(Checked):
 
     def at(self, corner: str) -> "Signal":
         """Returns the signal at one corner of a vehicle that has several, e.g. `tyre_deflection_front`."""
-        return replace(
-            self,
-            name=f"{self.name}_{corner}",
-            symbol=f"{self.symbol} {corner.replace('_', ' ')}",
-            meaning=f"{self.meaning}, {corner.replace('_', ' ')}",
-        )
+        return _at(self, corner)
+
+
+@lru_cache(maxsize=256)  # checking a signal's fields takes longer than all else that a linear model of a car does
+def _at(signal: Signal, corner: str) -> Signal:
+    where = corner.replace("_", " ")
+    return replace(
+        signal,
+        name=f"{signal.name}_{corner}",
+        symbol=f"{signal.symbol} {where}",
+        meaning=f"{signal.meaning}, {where}",
+    )
 
 
 ROAD_DISPLACEMENT = Signal("road_displacement", "z_r", "m", "road height under the wheel, up")

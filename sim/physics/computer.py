@@ -1,7 +1,7 @@
 """The controller's computer: it samples, measures with noise and quantisation, calls the driver, and delays its commands."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -24,6 +24,24 @@ from sim.physics.driver import (
     SemiActiveDriver,
 )
 from synth.controller.controller import Controller, code_of
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """State of a run at its start, for forces without adjustable dampers.
+
+    Attributes:
+        motion: positions, velocities and activations of MuJoCo, shape (nq + nv + na,).
+        acting: the forces that acted before [N], shape (m,).
+        law, undelayed: states of the controller, and of the second one, as they are run.
+        pending: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).
+    """
+
+    motion: Array
+    acting: Array
+    law: Array
+    undelayed: Array
+    pending: Array
 
 
 class Computer:
@@ -76,6 +94,14 @@ class Computer:
         drawn = (*vehicles[0].linear_model.outputs, *closing)
         noise = measurement_noise(how, drawn, samples)
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
+
+    def resume(self, states: Sequence[Array], pending: Sequence[Array], commands: Array) -> None:
+        """Sets the states of its runs at the start, their pending forces and the command that acts until the first arrives."""
+        for i, (state, forces) in enumerate(zip(states, pending, strict=True)):
+            self._state[i, : len(state)] = state
+            if len(forces):
+                self._waiting[-len(forces) :, i] = forces  # before sample 0
+                commands[np.arange(len(commands))[self.runs][i]] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""

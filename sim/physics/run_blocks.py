@@ -18,7 +18,7 @@ from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
-from sim.physics.computer import Computer, driver_of, implementation_around, kind_of
+from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
 from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
@@ -100,8 +100,7 @@ class BatchInputs:
         timestep: [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
-        going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
-            unwanted run is not stepped, and its part of later blocks is meaningless.
+        start: state of each run at its start, or None for rest.
         beyond: road heights at the samples after the last [m], shape (E, N, r), for controllers that preview them, or None.
         failures: failures of laws in Python by run, for the caller to read: such a run continues without forces. None to raise
             the first failure.
@@ -116,7 +115,7 @@ class BatchInputs:
     timestep: float
     edges: Sequence[int]
     undelayed: Sequence[Controller | None] | None = None
-    going: Array | None = None
+    start: Sequence[InitialState] | None = None
     beyond: Array | None = None
     failures: dict[int, Failure] | None = None
     held: Array | None = None
@@ -245,7 +244,7 @@ class _Loop:
     def blocks(self, runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         """Yields the blocks of some of the runs."""
         course, readout, vehicles, stage, fresh = self.course, self.readout, self.vehicles[runs], self.stage, self.fresh
-        count, going = len(vehicles), None if course.going is None else course.going[runs]
+        count = len(vehicles)
         batch = Batch(self.model, count, 1)
         if self.models:
             batch.set_models([self.models[self.hardware[id(one)]] for one in vehicles])
@@ -261,14 +260,24 @@ class _Loop:
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
-        batch.forward(stage=stage)
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
+        if course.start is not None:
+            starts = course.start[runs]
+            for i, one in enumerate(starts):
+                motion[i], activations[i] = np.split(one.motion, [moved])
+                actuators.apply(controls[i : i + 1], one.acting[None])
+            for computer in computers:
+                mine = [starts[i] for i in np.arange(count)[computer.runs]]
+                computer.resume([one.law for one in mine], [one.pending for one in mine], commands)
+            for computer in undelayed:
+                mine = [starts[i] for i in np.arange(count)[computer.runs]]
+                computer.resume([one.undelayed for one in mine], [()] * len(mine), more)
+        batch.forward(stage=stage)
         sampled = {k for one in (*computers, *undelayed) for k in range(0, course.edges[-1], one.period)}
         names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))
         states = max((one.used.shape[1] for one in computers), default=0)
         for start, end in itertools.pairwise(course.edges):
             block, length = slice(start, end), end - start
-            some = None if going is None or going.all() else np.flatnonzero(going)
             before = midway[start - 1 : end - 1] if start else np.concatenate([np.zeros_like(now[:1]), midway[: end - 1]])
             unread, level = self._unread(block, runs, before, actuators), now[block]
             readings, requested = np.empty((length, count, width)), np.empty((length, count, actuators.size))
@@ -284,7 +293,7 @@ class _Loop:
                 if k in sampled:
                     if fresh:
                         heights[:, readout.mocap] = level[i]
-                        batch.forward(some)
+                        batch.forward()
                     if stage:
                         reading[:, moved:] = measured
                     np.matvec(of_reading, reading, out=signals)
@@ -309,10 +318,10 @@ class _Loop:
                         controls[:, tyres] = held[k][:, speeds]
                 if felt:
                     heights[:, readout.mocap] = level[i]
-                    batch.forward(some)
+                    batch.forward()
                     sensed[i + 1] = sensors
                 heights[...] = roads[i]
-                batch.step(some, stage=self.after)
+                batch.step(stage=self.after)
                 if not felt:
                     sensed[i + 1] = sensors
             if self.after and not felt:

@@ -32,7 +32,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     # A quick report has no margins, and waits for none of their searches to be imported.
     from sim.studies.stability.figure import margins_figure
     from sim.studies.stability.fragility import find_fragility
-    from sim.studies.stability.margin_search import find_all, searches
+    from sim.studies.stability.margin_search import find_all, implemented_searches, searches
     from sim.studies.stability.robustness import robustness, varied_text
 
     rows, figures, robust, statements = [], [], [], []
@@ -40,24 +40,31 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     actuators = range(len(vehicle.linear_model.inputs))
     timestep = scope.margins_timestep
     loops = [searches(vehicle, one, actuators, timestep) for one in scope.active]
-    find_all(loops, timestep)
+    built = [] if scope.prompt else [implemented_searches(scope.vehicle, one, actuators, timestep) for one in scope.active]
+    find_all([*loops, *built])
     scope.progress("other vehicles")
-    for one, loop, box in zip(scope.active, loops, robustness(vehicle, scope.active, timestep), strict=True):
+    boxes = robustness(vehicle, scope.active, timestep)
+    for one, loop, as_built, box in zip(scope.active, loops, built or [None] * len(loops), boxes, strict=True):
         scope.progress("fragility")
         predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
         errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
-        pairs = [
-            ("gain, factor", predicted.gain, loop.gain.found, loop.gain.extrapolated),
-            ("phase lag [rad]", predicted.phase, loop.found_phase, False),
-            ("phase lead [rad]", predicted.lead, math.nan, False),
+        pairs = []
+        for each, of in ((as_built, ""), (loop, "" if as_built is None else ", ideal loop")):
+            if each is not None:
+                pairs += [
+                    (f"gain{of}, factor", each.predicted.gain, each.gain.found, each.gain.extrapolated),
+                    (f"phase lag{of} [rad]", each.predicted.phase, each.found_phase, False),
+                    (f"phase lead{of} [rad]", each.predicted.lead, math.nan, False),
+                    (f"disk margin{of}", each.predicted.disk.size, math.nan, False),
+                ]
+        pairs += [
             ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.found_delay, False),
             ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period, False),
-            ("disk margin", predicted.disk.size, math.nan, False),
             ("error of each reading and force [%]", *(100 * value for value in errors), fragile.edge.extrapolated),
         ]
         for name, first, second, limit in pairs:
             rows.append((one.name, name, _margin(first), f"{_margin(second)}{' (extrapolated)' * limit}"))
-        agrees = loop.agrees and fragile.agrees
+        agrees = loop.agrees and fragile.agrees and (as_built is None or as_built.agrees)
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
             statements.append(
@@ -71,7 +78,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {as_name(one.name)}: see the table of margins."
                 statements.append(Statement(text, "fails"))
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
-        figures.append(replace(margins_figure(vehicle, one, loop, fragile, box, timestep), name=f"margins-{one.name}"))
+        figures.append(replace(margins_figure(vehicle, one, loop, as_built, fragile, box), name=f"margins-{one.name}"))
     tables = (
         Table(
             "margins",
@@ -91,17 +98,18 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     )
     text = (
         "How much more gain, phase lag, delay or sample period the loop bears, all its actuators at once: predicted from the "
-        f"loop transfer function, and confirmed in MuJoCo at {1e3 * timestep:g} ms, which decays on one side of that and grows "
-        "on the other; where it does not, bisection finds where decay ends. Phase lead and disk margin are predicted alone: "
+        f"loop transfer function, and found in MuJoCo by the derivative of its step at {1e3 * timestep:g} ms; two runs confirm "
+        "each margin, one that decays and one that grows. Phase lead and disk margin are predicted alone: "
         "no run has a lead at every frequency, or a complex factor. Of gain and phase at once the disk margin alone speaks: "
         "each force bears any complex factor f with |f - 1| / |f + 1| below half of it. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
     text = (*text, *(f"{as_name(one.name)}: {promise.text}." for one in scope.active for promise in one.robustness))
     if not scope.is_ideal:
-        about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
-        about += f", and its {scope.vehicle.implementation.noise_text} is not tried" if scope.blurred else ""
-        text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
+        about = "" if scope.prompt else "Gain, phase and disk margins are those of the implemented loop, beside the ideal ones. "
+        about += f"Delay, sample period and errors are those of the loop without [implementation]{scope.lag}."
+        about += f" Its {scope.vehicle.implementation.noise_text} is not included." if scope.blurred else ""
+        text = (*text, f"{about} The nominal norm is the ideal loop's, too.")
     title = "How much goes wrong before it becomes unstable?"
     return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), statements
 

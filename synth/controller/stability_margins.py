@@ -18,7 +18,7 @@ poles themselves.
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from synth.controller.loop_transfer import LoopTransfer
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
-ANGLES = 4001  # from no lag to a whole turn; odd, so that half a turn is among them
+ANGLES, FEWER_ANGLES = 4001, 501  # from no lag to a whole turn; odd, so that half a turn is among them
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
 FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
 TOGETHER = 128  # sample periods of one batch
@@ -135,6 +135,34 @@ def margins(loop: LoopTransfer) -> Margins:
     )
 
 
+def sampled_margins(Phi: Array, Gamma: Array, G: Array, period: float) -> Margins:
+    """Returns the margins of a sampled loop that is stable when closed, without a sample period.
+
+    The bilinear map z = (1 + s) / (1 - s) takes the unit circle to the imaginary axis, and the loop to one in continuous time
+    with the same crossovers and the same disk margin, at other frequencies.
+
+    Args:
+        Phi, Gamma, G: loop from sample to sample, see `sampled_loop_transfer`.
+        period: sample period [s].
+    """
+    inverse = np.linalg.inv(np.eye(len(Phi)) + Phi)
+    mapped = LoopTransfer(inverse @ (Phi - np.eye(len(Phi))), inverse @ Gamma, 2 * G @ inverse, -G @ inverse @ Gamma)
+    factors, disk = sampled_gain_crossings(Phi, Gamma, G), disk_margin(mapped)
+
+    def frequency(mapped: float) -> float:
+        return 2 * math.atan(mapped) / period
+
+    return Margins(
+        gain=min((factor for factor in factors if factor > 1), default=math.inf),
+        gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
+        crossovers=_by_delay(
+            [Crossover(frequency(one.frequency), one.phase) for one in _crossings_on_a_grid(mapped) if one is not None]
+        ),
+        sample_period=math.inf,
+        disk=replace(disk, frequency=frequency(disk.frequency)),
+    )
+
+
 def gain_crossings(loop: LoopTransfer) -> list[float]:
     """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
 
@@ -172,13 +200,12 @@ def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
 
 def crossovers(loop: LoopTransfer) -> tuple[Crossover, ...]:
     """Every crossover at a frequency above zero, by the delay that it allows."""
-    # The pencil has squares of the loop's numbers in it. Of states in unlike units, as a lagged force in N beside metres, it
-    # hides solutions that a balanced one shows. A crossover is cheap to verify and a missing one is not, so a grid is
-    # asked too.
+    # The pencil has squares of the loop's numbers in it, so that states in unlike units, as a lagged force in N beside metres,
+    # would hide solutions. A crossover is cheap to verify and a missing one is not, so a grid is searched, too.
     quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
-    candidates = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
+    candidates = _of_the_pencil(loop.balanced()) if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if loop.comes_back >= 1 else []
-    return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(loop)])
+    return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(loop, FEWER_ANGLES if quadratic else ANGLES)])
 
 
 def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
@@ -210,11 +237,11 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
     return tuple(sorted(different, key=lambda crossover: crossover.delay))
 
 
-def _crossings_on_a_grid(loop: LoopTransfer) -> list[Crossover | None]:
+def _crossings_on_a_grid(loop: LoopTransfer, count: int = ANGLES) -> list[Crossover | None]:
     """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
-    angles = np.linspace(0, 2 * np.pi, ANGLES)
+    angles = np.linspace(0, 2 * np.pi, count)
     # A lag and what it lacks of a whole turn have poles that are each other's conjugates.
-    half = np.linalg.eigvals(loop.closed(np.exp(-1j * angles[: ANGLES // 2 + 1])))
+    half = np.linalg.eigvals(loop.closed(np.exp(-1j * angles[: count // 2 + 1])))
     poles = np.concatenate([half, half[-2::-1].conj()])
     unstable = np.sum(np.real(poles) > 0, axis=1)
     crossings = []

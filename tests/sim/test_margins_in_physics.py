@@ -7,17 +7,14 @@ import math
 import numpy as np
 import pytest
 
-import sim.studies.stability.fragility
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.margins import main
-from sim.studies.stability.bisection import Bisection, run_searches
+from sim.studies.stability.edge import StabilityEdge, search_and_run, smallest_unstable
 from sim.studies.stability.fragility import find_fragility, with_errors
-from sim.studies.stability.growth_test import Growth
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.report import _loop_lines, _loop_object
-from synth.controller import stability_margins
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import (
     gain_crossings,
@@ -30,22 +27,19 @@ from tests.support.shared import designed
 
 
 @pytest.mark.parametrize("expected", [3.0, 17.0, 17.5, 18.0, 200.0, math.inf])
-def test_search_does_not_believe_its_expectation(monkeypatch, expected):
-    """Physics decides where a search ends; if the expectation is right, it takes two runs."""
+def test_search_does_not_believe_its_expectation(expected):
+    """MuJoCo decides where a search ends; if the expectation is right, it looks at two amounts."""
     asked = []
 
-    def told(trials, timestep, progress):
-        asked.extend(trials)
-        return [Growth(amount > 17.5) for amount in trials]
+    def grows(amount):
+        asked.append(amount)
+        return amount > 17.5
 
-    monkeypatch.setattr("sim.studies.stability.bisection.grows", told)
-    search = Bisection(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
-    run_searches([search], 1.0)
-    assert (search.stable, search.unstable) == (17.0, 18.0)
+    assert smallest_unstable(grows, expected, 100.0, 1.0) == (17.0, 18.0)
     assert expected != 17.5 or sorted(asked) == [17.0, 18.0]
-    never = Bisection(lambda amount: amount, math.inf, most=10.0, step=1.0)  # type: ignore[arg-type]
-    run_searches([never], 1.0)
-    assert never.unstable == math.inf
+    assert smallest_unstable(lambda amount: False, math.inf, 10.0, 1.0) == (10.0, math.inf)
+    stable, unstable = smallest_unstable(grows, expected, 100.0)
+    assert stable <= 17.5 < unstable < stable * 1.0021
 
 
 @pytest.mark.attack
@@ -86,7 +80,7 @@ def test_one_force_sampled_in_physics():
     lagging = dataclasses.replace(controller, law=LinearLaw(-lags, lags, controller.gain, np.zeros((2, 4))))
     assert largest_sample_period(loop_transfer(vehicle, lagging, [0, 1])) == pytest.approx(0.0828, abs=1e-4)
     one = searches(vehicle, lagging, [1], 2e-3)
-    run_searches([one.sample_period], 2e-3)
+    search_and_run([one.sample_period])
     assert one.predicted.sample_period == pytest.approx(0.0854, abs=1e-4)
     assert 0 <= one.predicted.sample_period - one.found_sample_period < 2e-3  # a timestep
     whole = dataclasses.replace(one, predicted=dataclasses.replace(one.predicted, all_sampled=True))
@@ -110,7 +104,7 @@ def test_a_margin_is_that_of_wheels_on_the_road():
     vehicle, timestep = read_vehicle("half_car").with_parameters(**THROWN), 1e-3
     law = static_law(np.array([[10278.0], [5003.0]]))
     gain = searches(vehicle, certify_given(vehicle, "c", ["suspension_deflection_front"], law), [1], timestep).gain
-    run_searches([gain.search], timestep)
+    search_and_run([gain.search])
     assert gain.search.found == pytest.approx(gain.sampled[0], rel=5e-3)  # asked for; the section ends at 0.2 %
 
 
@@ -127,22 +121,10 @@ def test_gain_delay_and_sample_period_in_physics(kind, name, actuators, timestep
     """One actuator, two with a common factor or delay, and one of two: delay and period to a sample, the gain to 0.5 %."""
     vehicle = read_vehicle(kind)
     one = searches(vehicle, designed(vehicle, name), actuators, timestep)
-    run_searches([one.gain.search, one.delay, one.sample_period], timestep)
+    search_and_run([one.gain.search, one.delay, one.sample_period])
     assert abs(one.delay.unstable - one.predicted.delay) <= timestep
     assert one.found_sample_period == pytest.approx(one.predicted.sample_period, abs=timestep)
     assert one.gain.search.found == pytest.approx(one.gain.sampled[0], rel=5e-3)  # asked for; the section ends at 0.2 %
-
-
-def test_a_sample_period_that_sees_nothing_of_the_bump_is_not_run(paper, designer, monkeypatch):
-    """From 13.8 time constants of the vehicle on, e^-13.8 being 1e-6, no sample sees the bump: 2 s is the longest run."""
-    slowest = -float(np.linalg.eigvals(paper.linear_model.A).real.max())
-    for times, longest in ((13.8, 13.8 / slowest), (13.9, 2.0)):
-        monkeypatch.setattr(stability_margins, "largest_sample_period", lambda loop, at=times / slowest: at)
-        one = searches(paper, designer.design("I"), [0], 1e-3)
-        tried = one.sample_period.next()
-        assert max(tried) == pytest.approx(longest, abs=1e-3)  # a sample
-        one.sample_period.tried |= dict.fromkeys(tried, Growth(grows=False))
-        assert ("a longer one sees nothing of the bump" in "\n".join(_loop_lines("the loop", one, None))) == (longest == 2.0)
 
 
 def test_a_delay_that_takes_hours_is_not_run(paper):
@@ -152,19 +134,20 @@ def test_a_delay_that_takes_hours_is_not_run(paper):
     controller = design(vehicle, "slow")
     one = find_margins(vehicle, controller, 4e-3)[""]
     assert one.predicted.delay > 60
-    assert max(one.delay.tried) == pytest.approx(2.0)
+    assert one.delay.stable == pytest.approx(2.0)
     assert one.agrees
     assert math.isnan(one.found_phase)
-    assert "not found within 2 s; runs of the predicted delay" in "\n".join(_loop_lines("the loop", one, None))
+    assert "none up to 2 s; longer ones than 8 s are not run" in "\n".join(_loop_lines("the loop", one, None))
 
 
-def test_an_integrator_almost_without_readings_does_not_grow(monkeypatch):
-    """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is no edge of the sampled loop."""
-    monkeypatch.setattr(sim.studies.stability.fragility, "run_searches", lambda *arguments: None)
+def test_an_integrator_almost_without_readings_does_not_grow():
+    """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is not an edge of the sampled loop."""
     pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'
     pid += "pid = { kp = -500.0, ki = -50.0, kd = -50.0, filter = 0.02 }\n"
     vehicle = parse_vehicle(f"{read_vehicle('half_car').text}\n[controllers.slow]\n{pid}")
-    assert find_fragility(vehicle, design(vehicle, "slow"), 5e-4).edge.sampled == (math.inf, math.inf)
+    edge = find_fragility(vehicle, design(vehicle, "slow"), 5e-4).edge
+    assert edge.sampled == (math.inf, math.inf)
+    assert edge.agrees
 
 
 def test_infinite_margins_in_physics(paper):
@@ -179,10 +162,10 @@ def test_infinite_margins_in_physics(paper):
     assert found.agrees
 
 
-def search_that_found(amount: float) -> Bisection:
+def search_that_found(amount: float) -> StabilityEdge:
     """A search that has ended there; nowhere if it is infinite."""
-    tried = {1.0: Growth(False)} if math.isinf(amount) else {0.9995 * amount: Growth(False), 1.0005 * amount: Growth(True)}
-    return Bisection(lambda amount: amount, amount, most=32.0, tried=tried)  # type: ignore[arg-type]
+    ends = (1.0, math.inf) if math.isinf(amount) else (0.9995 * amount, 1.0005 * amount)
+    return StabilityEdge(None, lambda amount: amount, amount, 32.0, 0.0, *ends, searched=True)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +192,7 @@ def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
     """A gain that MuJoCo has at no step of its own is extrapolated, in words and in --json; one that it ran is not."""
     one = searches(paper, designer.design("I"), [0], 1e-3)
     coarse, fine = (search_that_found(one.predicted.gain + away) for away in ((-0.02, -0.01) if step else (0.0, 0.0)))
-    fine = fine if step else dataclasses.replace(fine, tried={})
+    fine = fine if step else dataclasses.replace(fine, searched=False)
     gain = GainMargin(one.predicted.gain, (coarse.found, fine.found), coarse, fine)
     lower = dataclasses.replace(one.gain_lower, search=search_that_found(math.inf))
     one = dataclasses.replace(one, gain=gain, gain_lower=lower)
@@ -240,6 +223,6 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     found = find_fragility(slow, strong, 1e-3)
     (factor,) = (at for at in gain_crossings(loop_transfer(slow, strong, [0])) if at > 1)
     assert found.edge.own == pytest.approx(factor - 1, rel=1e-6)  # the gain margin, by another way
-    assert found.edge.finer.tried
+    assert found.edge.finer.searched
     assert found.edge.found == pytest.approx(found.edge.own, rel=2e-2)  # second order in the step
     assert found.agrees

@@ -19,7 +19,8 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.margins import main
 from sim.report.designs import gain_table
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.stability.growth_test import Trial, grows
+from sim.studies.stability.edge import rates_of_runs
+from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
 from synth.analysis.certificate import Certificate, certify
 from synth.controller.controller import Controller
 from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
@@ -162,23 +163,12 @@ def test_growth_that_creeps_is_seen():
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
     assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
     trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
-    found = grows(trials, 2e-3)
-    assert [each.grows for each in found] == [False, True]
-    for each, trial in zip(found, trials, strict=True):
+    step = step_derivative(vehicle, 2e-3)
+    rates = rates_of_runs(trials, [simulated_loop(step, trial) for trial in trials])
+    assert [rate > 0 for rate in rates] == [False, True]
+    for rate, trial in zip(rates, trials, strict=True):
         slowest = np.linalg.eigvals(trial.controller.loop(vehicle).A).real.max()
-        assert each.rate == pytest.approx(slowest, rel=1e-2)  # of first order in the hold
-
-
-def test_growth_of_a_run_does_not_depend_on_its_company():
-    """Whatever runs beside it, of other controllers with other states, the numbers of a run are the same to the last bit."""
-    vehicle = read_vehicle("quarter_car")
-    others = (("velocity", 8), ("velocity", 5), ("acceleration", 3), ("acceleration", 5))
-    one, company = controller(vehicle, "velocity", 3), [controller(vehicle, *other) for other in others]
-    static = replace(one, law=static_law(one.law.D))
-    trials = [Trial(vehicle, each) for each in (one, static)]
-    alone = [grows([trial], 2e-3)[0].rate for trial in trials]
-    beside = [each.rate for each in grows([*trials, *(Trial(vehicle, each) for each in company)], 2e-3)[:2]]
-    assert beside == alone
+        assert rate == pytest.approx(slowest, rel=1e-2)  # of first order in the hold
 
 
 def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_with():

@@ -1,4 +1,4 @@
-"""Growth rate of a loop whose forces are delayed by many samples, without the eigenvalues of all pending forces.
+"""Slowest mode of a loop whose forces are delayed by many samples, without the eigenvalues of all pending forces.
 
 Over one delay of d samples the state and the d pending forces become the later state and the forces computed meanwhile. That map
 is the d-th power of the map from sample to sample, whose eigenvalues are so close in size that the largest is found only with all
@@ -6,63 +6,42 @@ the others. The eigenvalues of the power are apart: decaying motion is all but g
 applications of it suffice (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
-import math
-
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
-from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller
-from synth.controller.loop_transfer import sampled_loop_transfer
 
-FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker
-LARGEST = 4  # eigenvalues that are asked for: two pairs, should two loops of a symmetric vehicle be alike
+FEW = 60  # states and pending forces; of so few all eigenvalues are quicker
+LARGEST = 4  # eigenvalues that are requested: two pairs, should two loops of a symmetric vehicle be alike
 
 
-def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, delay: int) -> float:
-    """Rate of the slowest mode [1/s], above 0 where it grows, with forces that act so many samples late.
-
-    Args:
-        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        controller: controller that samples every step.
-        timestep: timestep of the physics [s].
-        delay: delay in samples, at least 0.
-    """
-    return rate_from_sample_to_sample(*sampled_loop_transfer(vehicle, controller, timestep), delay) / timestep
+def slowest_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> complex:
+    """Returns the delay-th power of the largest eigenvalue z of x[k+1] = Phi x[k] + Gamma G x[k-delay], and z without delay."""
+    return _slowest_over_delay(Phi, Gamma, G, delay) if delay else _largest(np.linalg.eigvals(Phi + Gamma @ G))
 
 
-def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> float:
-    """The logarithm of the spectral radius of x[k+1] = Phi x[k] + Gamma G x[k-delay]."""
-    return math.log(abs(_slowest_over_delay(Phi, Gamma, G, delay))) / max(delay, 1)
-
-
-def slowest_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> tuple[complex, Array]:
-    """Returns the largest eigenvalue z of the same, and the left null vector w of z I - Phi - z^-delay Gamma G, shape (n,)."""
-    over_delay = _slowest_over_delay(Phi, Gamma, G, delay)
+def mode(Phi: Array, Gamma: Array, G: Array, delay: int, over_delay: complex) -> tuple[complex, Array]:
+    """Returns that eigenvalue z from its power, and its vector x, shape (n,)."""
     # Over a delay it has turned by any number of whole turns; one of them solves the equation.
-    turns = np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
-    tried = np.asarray(over_delay, dtype=complex) ** (1 / max(delay, 1)) * turns
-    over = (over_delay if delay else 1.0) * np.ones((len(tried), 1, 1))
-    left, sizes, _ = np.linalg.svd(tried[:, None, None] * np.eye(len(Phi)) - Phi - Gamma @ G / over)
-    best = int(np.argmin(sizes[:, -1]))
-    return complex(tried[best]), left[best, :, -1].conj()
+    tried = over_delay ** (1 / max(delay, 1)) * np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
+    late = Phi + Gamma @ G / (over_delay if delay else 1.0)
+    sizes = np.abs(np.linalg.eigvals(late) - tried[:, None]).min(axis=1)
+    z = complex(tried[int(np.argmin(sizes))])
+    return z, np.linalg.svd(z * np.eye(len(Phi)) - late)[2][-1].conj()
 
 
 def _slowest_over_delay(Phi: Array, Gamma: Array, G: Array, delay: int) -> complex:
-    """Returns the largest eigenvalue of the delay-th power of the map from sample to sample; of the map itself without delay."""
+    """Returns the largest eigenvalue of the delay-th power of the map from sample to sample."""
     n, m = Gamma.shape
-    if delay == 0:
-        return _largest(np.linalg.eigvals(Phi + Gamma @ G))
     size = n + delay * m
     moved = np.empty((delay + 1, n, n))  # powers of Phi
     moved[0] = np.eye(n)
     for k in range(delay):
         moved[k + 1] = moved[k] @ Phi
-    seen = G @ moved[:-1]  # the force that a state of k samples ago asks for, shape (delay, m, n)
+    seen = G @ moved[:-1]  # the force that a state of k samples ago requests, shape (delay, m, n)
     pushed = moved[-2::-1] @ Gamma  # the last state, of the force that acts in step k, shape (delay, n, m)
     length = 2 ** (2 * delay - 1).bit_length()  # nothing runs round
-    # The force that is asked for, of the one that acted k samples ago.
+    # The force that is requested, of the one that acted k samples ago.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 
     def after(state: Array) -> Array:

@@ -1,26 +1,26 @@
 """Margins drawn: growth or decay with more gain, delay and sample period, the norm with errors, and on other vehicles."""
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
 from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
-from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.bisection import Bisection
-from sim.studies.stability.delayed import delayed_rate
+from sim.studies.stability.delayed import slowest_from_sample_to_sample
+from sim.studies.stability.edge import StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import LoopMargins
 from sim.studies.stability.robustness import Robustness
+from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller
+from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.design.uncertainty.fragility import whose, worst_error_found
 
-POINTS = 60  # of a predicted curve
+POINTS, MEASURED = 60, 7  # of a predicted curve, and by MuJoCo's step
 AMOUNTS = 16  # of errors at which the worst norm is looked for
 RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
@@ -33,57 +33,65 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(
-    vehicle: Vehicle, controller: Controller, loop: LoopMargins, fragile: FragilityFound, box: Robustness | None, timestep: float
+    vehicle: Vehicle,
+    controller: Controller,
+    loop: LoopMargins,
+    built: LoopMargins | None,
+    fragile: FragilityFound,
+    box: Robustness | None,
 ) -> Figure:
-    """Draws the growth rate of the slowest mode: lines by the poles of the implemented linear loop, points from MuJoCo's runs.
+    """Draws the growth rate of the slowest mode: lines by the poles of the sampled linear loop, points by MuJoCo's own step.
 
     The margin is the common zero of both.
 
     Args:
         vehicle: the vehicle, its controller ideal.
         loop: margins of all its loops together.
+        built: the same of the implemented loop; None if that is ideal.
         box: the controller on other vehicles, or None if the kind has no variations.
-        timestep: timestep of the physics [s].
     """
+    timestep = loop.timestep
 
-    def rate(vehicle: Vehicle, controller: Controller) -> float:
-        return math.log(LoopModel(vehicle, controller, timestep).radius) / timestep
-
-    def of_gain(factor: float) -> float:
-        return rate(vehicle, replace(controller, law=controller.law.scaled(factor)))
-
-    def of_delay(seconds: float) -> float:
-        return delayed_rate(vehicle, controller, timestep, round(seconds / timestep))
-
-    def of_period(seconds: float) -> float:
-        period = max(1, round(seconds / timestep)) * timestep
-        return rate(replace(vehicle, implementation=Implementation(sample_period=period)), controller)
+    def rate(trial: Trial) -> float:
+        if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
+            loop = sampled_loop_transfer(vehicle, controller, timestep)
+            return math.log(abs(slowest_from_sample_to_sample(*loop, int(steps)))) / steps / timestep
+        return math.log(LoopModel(trial.vehicle, trial.controller, timestep).radius) / timestep
 
     gain = loop.gain
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
     title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
-    searches: list[tuple[str, Bisection, Callable[[float], float], float, str, str]] = [
-        (title, gain.search, of_gain, 1.0, "factor on the gain", ""),
-        ("delay from measurement to force", loop.delay, of_delay, 1e3, "delay [ms]", " ms"),
-        ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
+    searches: list[tuple[str, StabilityEdge, float, float, float, str, str]] = [
+        (title, gain.search, gain.sampled[0], gain.search.found, 1.0, "factor on the gain", ""),
+        ("delay from measurement to force", loop.delay, loop.predicted.delay, loop.found_delay, 1e3, "delay [ms]", " ms"),
+        (
+            "sample period of the controller",
+            loop.sample_period,
+            loop.predicted.sample_period,
+            loop.found_sample_period,
+            1e3,
+            "sample period [ms]",
+            " ms",
+        ),
     ]
-    predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
-    edges = [gain.search.found, loop.found_delay, loop.found_sample_period]
+    if built is not None:
+        of = built.gain
+        searches.insert(0, ("more gain, as implemented", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
     lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
     phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
     panels = []
-    for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
+    for title, search, at, seen, scale, label, unit in searches:
         numbers = [
             f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" if value > 0 else "not found" for value in (at, seen)
         ]
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
-        panels.append(_search_panel(title, label, search, growth, scale))
+        panels.append(_search_panel(title, label, search, rate, scale))
     panels.append(_fragile_panel(fragile))
     if box is not None:
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
-    title = f"{about}.{phases} Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
-    delay, period = edges[1:]
+    title = f"{about}.{phases} Lines: slowest pole of the sampled loop. Points: MuJoCo's own step at {1e3 * timestep:g} ms"
+    delay, period = loop.found_delay, loop.found_sample_period
     bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
     bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
     if math.isfinite(lead):
@@ -92,20 +100,27 @@ def margins_figure(
     return Figure("margins", title, tuple(panels), finding=finding)
 
 
-def _search_panel(title: str, label: str, search: Bisection, growth: Callable[[float], float], scale: float) -> Panel:
-    """The predicted rate over the amount, and that of the runs near where it changes its sign."""
+def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[Trial], float], scale: float) -> Panel:
+    """The predicted rate over the amount, and that of MuJoCo's step at a few amounts and where it changes its sign."""
     # Far from the margin nothing is to be seen, and the rates are large.
-    end = 1.35 * search.unstable if math.isfinite(search.unstable) else max(search.tried)
-    known = [amount for amount in (search.stable, search.unstable) if math.isfinite(amount)]
-    amounts: Array = np.unique([*np.linspace(0.0, end, POINTS), *known])
-    rates = np.array([growth(amount) for amount in amounts])
+    end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
+    known = [amount for amount in (search.stable, search.unstable) if 0 < amount < math.inf]
+    amounts, points = (_multiples([*np.linspace(0.0, end, count), *known], search.multiple) for count in (POINTS, MEASURED))
+    rates = np.array([rate(search.trial(amount)) for amount in amounts])
     curves = [Curve(scale * amounts, rates, "linear analysis", LINE)]
+    measured = np.array([search.loop(amount).rate for amount in points])
     for grows, color, marker, name in MARKERS:
-        runs = {a: one.rate for a, one in search.tried.items() if one.grows == grows and a <= end and math.isfinite(one.rate)}
-        curves.append(Curve(scale * np.array(list(runs)), np.array(list(runs.values())), name, color, "none", marker))
+        some = (measured > 0) == grows
+        curves.append(Curve(scale * points[some], measured[some], name, color, "none", marker))
     curves.append(Curve(np.array([0.0, scale * end]), np.zeros(2), "", "#000000", width=0.8))
     top = min(1.1 * rates.max(), -4 * rates.min()) if rates.max() > 0 else -0.3 * rates.min()
     return Panel(title, label, "growth of the loop [1/s]", tuple(curves), ylim=(1.3 * rates.min(), top))
+
+
+def _multiples(amounts: Sequence[float], multiple: float) -> Array:
+    """Returns amounts as multiples of one, from the first on; unchanged for real numbers."""
+    given = np.array(amounts)
+    return np.unique(np.maximum(np.round(given / multiple), 1) * multiple if multiple else given)
 
 
 def _fragile_panel(fragile: FragilityFound) -> Panel:
@@ -126,7 +141,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
             Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable from here", "#000000", width=0.8)
         )
     for grows, color, marker, name in MARKERS:
-        runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
+        runs = 100 * np.array([a for a in (search.unstable if grows else search.stable,) if 0 < a <= end])
         curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
     numbers = [
         f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)

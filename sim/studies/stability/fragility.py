@@ -3,13 +3,15 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import LONGEST, STANDS, Trial, no_progress
+from sim.studies.stability.edge import StabilityEdge, no_progress, search_and_run
 from sim.studies.stability.margin_search import GainMargin
+from sim.studies.stability.simulated_loop import STANDS, Trial, step_derivative
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
 from synth.controller.controller import Controller
@@ -33,7 +35,7 @@ class FragilityEdge(GainMargin):
     def found(self) -> float:
         """Returns the margin extrapolated to timestep zero; infinite if only sampling makes the loop unstable."""
         coarse, fine = self.search.found, self.finer.found
-        if not self.finer.tried:
+        if not self.finer.searched:
             return coarse
         return math.inf if math.isinf(self.own) or math.isinf(fine) else 2 * fine - coarse
 
@@ -46,15 +48,22 @@ class FragilityFound:
         gain: the loop with factors on its measurements and requested forces.
         predicted: tolerance that is predicted for that loop.
         edge: size of the worst errors at which it becomes unstable, predicted and found.
-        rounding: certificate of the law with rounded numbers, by format.
         timestep: timestep of the physics [s].
+        vehicle, controller: the loop.
     """
 
     gain: ScaledGain
     predicted: Fragility
     edge: FragilityEdge
-    rounding: dict[str, Certificate]
     timestep: float
+    vehicle: Vehicle
+    controller: Controller
+
+    @cached_property
+    def rounding(self) -> dict[str, Certificate]:
+        """Returns the certificate of the law with rounded numbers, by format."""
+        ideal = self.controller.problem(self.vehicle.without_integrals)
+        return rounding(self.controller.law, ideal.closed_loop, ideal.plant)
 
     @property
     def agrees(self) -> bool:
@@ -75,13 +84,14 @@ def find_fragility(
         return Trial(vehicle, with_errors(controller, predicted, amount))
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
-    coarse, fine = Bisection(trial, at, most=MOST), Bisection(trial, at_half, most=MOST)
+    coarse, fine = (
+        StabilityEdge(step_derivative(vehicle, step), trial, expected, MOST)
+        for step, expected in ((timestep, at), (timestep / 2, at_half))
+    )
     edge = FragilityEdge(_inside(predicted.stable.smallest_violation), (at, at_half), coarse, fine)
-    run_searches([coarse], timestep, progress)
-    if edge.doubtful:
-        run_searches([fine], timestep / 2, progress)
-    ideal = controller.problem(vehicle.without_integrals)
-    return FragilityFound(gain, predicted, edge, rounding(controller.law, ideal.closed_loop, ideal.plant), timestep)
+    search_and_run([coarse], progress)
+    search_and_run([fine] if edge.doubtful else [], progress)
+    return FragilityFound(gain, predicted, edge, timestep, vehicle, controller)
 
 
 def with_errors(controller: Controller, predicted: Fragility, amount: float) -> Controller:
@@ -102,17 +112,22 @@ def _inside(edge: float) -> float:
 
 def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility, timestep: float) -> float:
     """Returns the margin of the loop that is sampled every timestep; infinite if it exceeds `MOST`."""
+    # Errors of readings and forces multiply, so that the transition is of second order in their amount.
+    ends = [LoopModel(vehicle, with_errors(controller, predicted, amount), timestep) for amount in (0.0, MOST / 2, MOST)]
+    start, middle, end = (loop.closed_loop.transition for loop in ends)
+    first, second = 4 * middle - 3 * start - end, 2 * (start + end) - 4 * middle
 
-    def grows(amount: float) -> bool:
-        radius = LoopModel(vehicle, with_errors(controller, predicted, amount), timestep).radius
-        return math.log(radius) * LONGEST >= STANDS * timestep  # an integrator's pole is 1 but for rounding
+    def grows(amount: Array) -> Array:
+        share = amount[:, None, None] / MOST
+        radius = np.abs(np.linalg.eigvals(start + share * first + share**2 * second)).max(axis=1)
+        return np.log(radius) > STANDS * timestep  # an integrator's pole is 1 but for rounding
 
-    low = 0.0
-    for high in np.linspace(0.0, MOST, GRID + 1)[1:].tolist():
-        if grows(high):
-            while high - low > EXACT * high:
-                middle = (low + high) / 2
-                low, high = (low, middle) if grows(middle) else (middle, high)
-            return _inside(high)
-        low = high
-    return math.inf
+    amounts = np.linspace(0.0, MOST, GRID + 1)
+    lost = grows(amounts)
+    if not lost.any():
+        return math.inf
+    low, high = (float(amounts[lost.argmax() + i]) for i in (-1, 0))
+    while high - low > EXACT * high:
+        middle = (low + high) / 2
+        low, high = (low, middle) if grows(np.array([middle]))[0] else (middle, high)
+    return _inside(high)

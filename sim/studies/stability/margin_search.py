@@ -1,7 +1,7 @@
-"""The margins of a loop, predicted from its transfer function and found in MuJoCo."""
+"""The margins of a loop, predicted from its transfer function and found in MuJoCo (`edge.py`)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +12,14 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
-from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import GONE, LONGEST, Trial, no_progress
+from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
+from sim.studies.stability.simulated_loop import StepDerivative, Trial, step_derivative
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
-from synth.controller.open_loop import with_lag
-from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings
+from synth.controller.open_loop import LoopModel
+from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings, sampled_margins
 
-SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
-LATEST = 8.0  # s; a longer predicted delay is not run: it takes 24 times as long to grow, and more gigabytes than there are
+LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
 AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
 WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
@@ -42,8 +41,8 @@ class GainMargin:
 
     own: float
     sampled: tuple[float, float]
-    search: Bisection
-    finer: Bisection
+    search: StabilityEdge
+    finer: StabilityEdge
 
     @property
     def doubtful(self) -> bool:
@@ -55,7 +54,7 @@ class GainMargin:
         """Returns the margin extrapolated to timestep zero; infinite if it grows as the step shrinks, and so is the sampling's
         alone.
         """
-        if not self.finer.tried:
+        if not self.finer.searched:
             return self.search.found
         coarse, fine = self.search.found, self.finer.found
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
@@ -63,7 +62,7 @@ class GainMargin:
     @property
     def extrapolated(self) -> bool:
         """Returns True if the margin found is the limit of two runs' margins."""
-        return bool(self.finer.tried) and math.isfinite(self.found)
+        return self.finer.searched and math.isfinite(self.found)
 
     @property
     def agrees(self) -> bool:
@@ -72,9 +71,10 @@ class GainMargin:
         The extrapolation is off by a second power of the step: by less than half of the change by halving.
         """
         tried = zip(self.sampled, (self.search, self.finer), strict=True)
-        here = all(_close(at, search.found, AGREES * at) for at, search in tried if search.tried)
-        moved = abs(self.finer.found - self.search.found) if self.finer.tried else 0.0
-        return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
+        here = all(_close(at, search.found, AGREES * at) for at, search in tried if search.searched)
+        moved = abs(self.finer.found - self.search.found) if self.finer.searched else 0.0
+        confirmed = self.search.confirmed and self.finer.confirmed
+        return here and confirmed and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +85,19 @@ class LoopMargins:
         predicted: margins from the loop transfer function.
         gain: search for the largest gain factor.
         gain_lower: search for the smallest factor, as its inverse.
-        delay, sample_period: the searches.
+        delay: search for the delay; beyond its own for an implemented loop.
+        sample_period: search for the sample period; not run for an implemented loop.
         timestep: timestep of the physics [s].
-        unseen: sample period from which the first sample after a bump misses it [s]; MuJoCo cannot confirm longer ones.
+        predicted_delay: smallest unstable delay of the linear loop [s].
     """
 
     predicted: Margins
     gain: GainMargin
     gain_lower: GainMargin
-    delay: Bisection
-    sample_period: Bisection
+    delay: StabilityEdge
+    sample_period: StabilityEdge
     timestep: float
-    unseen: float = math.inf
+    predicted_delay: float
 
     @property
     def found_gain_lower(self) -> float:
@@ -105,24 +106,14 @@ class LoopMargins:
 
     @property
     def found_sample_period(self) -> float:
-        """The longest sample period before the first that grows [s]."""
-        return self.sample_period.unstable - self.timestep if self.sample_period.decided else math.nan
-
-    @property
-    def sees_sample_period(self) -> bool:
-        """Returns True if a run can confirm the predicted sample period: a sample sees what is left of the bump."""
-        return math.isinf(self.predicted.sample_period) or self.predicted.sample_period < self.unseen
-
-    @property
-    def sees_delay(self) -> bool:
-        """Returns True if runs are long enough to confirm the predicted delay."""
-        return math.isinf(self.predicted.delay) or self.predicted.delay < LATEST
+        """Returns the longest period before the first that grows [s]; infinite if all are stable, NaN if no run decides it."""
+        edge = self.sample_period
+        return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
     @property
     def found_delay(self) -> float:
         """Smallest unstable delay [s]; infinite if all are stable, NaN if no run decides it."""
-        seen = self.delay.decided and (self.sees_delay or math.isfinite(self.delay.unstable))
-        return self.delay.unstable if seen else math.nan
+        return self.delay.unstable if _is_seen(self.delay, self.predicted_delay) else math.nan
 
     @property
     def found_phase(self) -> float:
@@ -131,17 +122,21 @@ class LoopMargins:
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep.
-
-        A sample period from `unseen` on agrees if no shorter one grows, and so does a delay that takes too long to run.
-        """
-        period = self.predicted.sample_period if self.sees_sample_period else math.inf
+        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
         return (
             self.gain.agrees
             and self.gain_lower.agrees
-            and _close(self.predicted.delay, self.found_delay, self.timestep)
-            and _close(period, self.found_sample_period, self.timestep)
+            and self.delay.confirmed
+            and self.sample_period.confirmed
+            and _close(self.predicted_delay, self.found_delay, self.timestep)
+            and _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
         )
+
+
+def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
+    """Returns True if an edge was searched and runs decide it: they are long enough for what is predicted [s]."""
+    within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
+    return edge.searched and edge.decided and within
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
@@ -178,67 +173,123 @@ def find_margins(
     """
     check_fits(vehicle, controller)
     sample_times(vehicle, LONGEST, timestep)
-    names = vehicle.linear_model.inputs
-    loops = {"": list(range(len(names)))}
-    if len(names) > 1:
-        loops |= {name: [i] for i, name in enumerate(names)}
-    margins = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
-    find_all(list(margins.values()), timestep, progress)
+    margins = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops_of(vehicle).items()}
+    find_all(list(margins.values()), progress)
     return margins
 
 
-def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = no_progress) -> None:
-    """Runs the searches of any loops, of several controllers too, to their ends: those of one round in one batch."""
+def find_implemented_margins(
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = no_progress
+) -> dict[str, LoopMargins]:
+    """Returns the margins of gain, phase and disk of the loop with its sample period and delay; see `find_margins`."""
+    loops = {name: implemented_searches(vehicle, controller, some, timestep) for name, some in loops_of(vehicle).items()}
+    find_all(list(loops.values()), progress)
+    return loops
+
+
+def loops_of(vehicle: Vehicle) -> dict[str, list[int]]:
+    """Returns the actuators of all loops together, under "", and of each loop of several, by its force."""
+    names = vehicle.linear_model.inputs
+    return {"": list(range(len(names)))} | ({name: [i] for i, name in enumerate(names)} if len(names) > 1 else {})
+
+
+def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_progress) -> None:
+    """Runs the searches of any loops, of several controllers too, with the runs of a timestep in one batch."""
     gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
-    others = [search for one in loops for search in (one.delay, one.sample_period)]
-    run_searches([*(gain.search for gain in gains), *others], timestep, progress)
-    run_searches([gain.finer for gain in gains if gain.doubtful], timestep / 2, progress)
+    others = [search for one in loops for search in (one.delay, one.sample_period) if search.most]
+    search_and_run([*(gain.search for gain in gains), *others], progress)
+    search_and_run([gain.finer for gain in gains if gain.doubtful], progress)
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
-    loop = loop_transfer(vehicle, controller, actuators)
-    predicted = margins(loop)
+    predicted = margins(loop_transfer(vehicle, controller, actuators))
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
+    cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
+    steps = step_derivative(vehicle, timestep), step_derivative(vehicle, timestep / 2)
+
+    def with_computer(how: Implementation, whole: bool = False) -> Trial:
+        on = replace(vehicle, implementation=how)
+        return Trial(on, controller) if whole else Trial(on, cut_out, rest if rest.law.acts else None)
+
+    def delayed(amount: float) -> Trial:
+        return with_computer(Implementation(delay=round(amount / timestep)))
+
+    def sampled_at(period: float) -> Trial:
+        return with_computer(Implementation(sample_period=period), predicted.all_sampled)
+
+    sampled = [
+        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step.timestep, actuators, taylor4)) for step in steps
+    ]
+    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    period = predicted.sample_period
+    return LoopMargins(
+        predicted,
+        *_gain_margins(vehicle, controller, mine, predicted, steps, sampled),
+        delay=StabilityEdge(steps[0], delayed, late if late < SLOWEST else math.inf, LONGEST, timestep),
+        sample_period=StabilityEdge(steps[0], sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep),
+        timestep=timestep,
+        predicted_delay=predicted.delay,
+    )
+
+
+def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
+    """Returns the same for the loop with its sample period and delay. The delay is searched if the loop is cut at all actuators.
+
+    Raises:
+        InputError: the sample period or the delay is not a multiple of the timestep.
+    """
+    how = vehicle.implementation.without_noise
+    loop = LoopModel(replace(vehicle, implementation=how), controller, timestep)
+    mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
+    predicted = sampled_margins(*_cut(loop, actuators), loop.period)
+    step = step_derivative(replace(vehicle, implementation=Implementation()), timestep)
+
+    def later(amount: float) -> Trial:
+        steps = round(how.delay * loop.steps) + round(amount / timestep)
+        return Trial(replace(vehicle, implementation=replace(how, delay=steps / loop.steps)), controller)
+
+    def grows(amount: float) -> bool:
+        return LoopModel(later(amount).vehicle, controller, timestep).radius > 1
+
+    late = math.inf  # the hold is not delayed as a phase is: near half the sample rate, that is not the same
+    if mine.all() and predicted.delay < SLOWEST:
+        late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
+    factors = [factor for factor in (predicted.gain, predicted.gain_lower) if 0 < factor < math.inf]
+    return LoopMargins(
+        predicted,
+        *_gain_margins(loop.vehicle, controller, mine, predicted, (step, step), [factors, factors]),
+        delay=StabilityEdge(step, later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
+        sample_period=StabilityEdge(step, later, math.inf, 0.0),
+        timestep=timestep,
+        predicted_delay=late if math.isfinite(late) else predicted.delay,
+    )
+
+
+def _gain_margins(
+    vehicle: Vehicle,
+    controller: Controller,
+    mine: Array,
+    predicted: Margins,
+    steps: tuple[StepDerivative, StepDerivative],
+    sampled: Sequence[Sequence[float]],
+) -> Iterator[GainMargin]:
+    """Yields the gain margin of some forces and the lower one; `sampled` has the factors at which the sampled loops change."""
 
     def with_gain(factor: float) -> Trial:
         return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
-    def gain_margin(trial: Callable[[float], Trial], own: float, power: int) -> GainMargin:
+    for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
         # A factor to this power is an amount above 1: how many times more gain, or how many times less.
         coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
-        return GainMargin(own, (coarse, fine), Bisection(trial, coarse, most=AMPLE), Bisection(trial, fine, most=AMPLE))
-
-    def sampled_at(period: float) -> Trial:
-        how = Implementation(sample_period=period)
-        return Trial(replace(vehicle, implementation=how), controller) if predicted.all_sampled else built(how)
-
-    def built(how: Implementation) -> Trial:
-        cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
-        return Trial(replace(vehicle, implementation=how), cut_out, rest if rest.law.acts else None)
-
-    sampled = [
-        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step, actuators, taylor4))
-        for step in (timestep, timestep / 2)
-    ]
-    delay = predicted.delay if predicted.delay < LATEST else math.inf
-    late = max(delay - timestep / 2, timestep)  # half a sample is in the hold
-    unseen = _unseen(with_lag(vehicle).A if mine.all() else loop.A)
-    period = predicted.sample_period if predicted.sample_period < unseen else math.inf
-    return LoopMargins(
-        predicted=predicted,
-        gain=gain_margin(with_gain, predicted.gain, 1),
-        gain_lower=gain_margin(
-            lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
-        ),
-        delay=Bisection(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
-        sample_period=Bisection(sampled_at, period, most=SLOWEST, step=timestep),
-        timestep=timestep,
-        unseen=unseen,
-    )
+        pairs = zip(steps, (coarse, fine), strict=True)
+        ends = (StabilityEdge(step, lambda amount, k=power: with_gain(amount**k), at, AMPLE) for step, at in pairs)
+        yield GainMargin(own**power if own else math.inf, (coarse, fine), *ends)
 
 
-def _unseen(A: Array) -> float:
-    """Returns the time after which nothing is left of a bump without the controller [s]; infinite if its motion stays."""
-    rate = -float(np.linalg.eigvals(A).real.max())
-    return -math.log(GONE) / (2 * rate) if rate > 0 else math.inf
+def _cut(loop: LoopModel, actuators: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Returns Phi, Gamma and G of the implemented loop from sample to sample, cut at some actuators."""
+    closed, asked = loop.closed_loop, loop.open_loop.asked
+    G = np.pad(asked, ((0, 0), (0, len(closed.transition) - asked.shape[1])))[list(actuators)]
+    Gamma = closed.added[:, list(actuators)]
+    return closed.transition - Gamma @ G, Gamma, G

@@ -6,25 +6,39 @@ from typing import Any
 
 from models.common.printed import WIDTH, finite, wrapped
 from models.vehicle.vehicle import Vehicle
+from sim.studies.stability.edge import SLOWEST, StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
-from sim.studies.stability.growth_test import LONGEST
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import DiskMargin
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
-UNDECIDED = f"not found within {LONGEST:g} s: the slowest mode creeps"
+UNDECIDED = "not found: the slowest mode creeps"
+TOO_LONG = f"longer ones than {SLOWEST:g} s are not run"
 NAME, CELL = 24, 12  # columns of a table of margins
+IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
 COUNTERPART = "the law is discrete: all numbers are of the continuous law whose Tustin transform it is"
 
 
 def margins_object(
-    vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+    vehicle: Vehicle,
+    controller: Controller,
+    margins: dict[str, LoopMargins],
+    built: dict[str, LoopMargins],
+    fragile: FragilityFound,
+    box: Robustness | None,
 ) -> dict[str, Any]:
-    """Returns the result as a JSON object: SI units, None for infinite or missing values."""
-    loops = {name: _loop_object(one) for name, one in margins.items() if name}
-    result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
+    """Returns the result as a JSON object: SI units, None for infinite or missing values.
+
+    With `built`, margins of gain, phase and disk are those of the implemented loop, and `ideal` has the ideal ones.
+    """
+    objects = {name: _loop_object(one) for name, one in margins.items()}
+    for name, one in built.items():
+        ideal = {key: objects[name][key] for key in IMPLEMENTED}
+        objects[name] |= {key: value for key, value in _loop_object(one).items() if key in IMPLEMENTED} | {"ideal": ideal}
+    whole = objects.pop("")
+    result = {"controller": controller.name, **whole, "loops": objects}
     names = controller.measured, vehicle.linear_model.inputs
     edge = {
         "mujoco": finite(fragile.edge.found),
@@ -87,7 +101,7 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
     return [
         {"timestep": timestep / k, "predicted": finite(at), "found": finite(search.found)}
         for k, at, search in zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
-        if search.tried
+        if search.searched
     ]
 
 
@@ -98,6 +112,7 @@ def margins_lines(
     vehicle: Vehicle,
     controller: Controller,
     margins: dict[str, LoopMargins],
+    built: dict[str, LoopMargins],
     fragile: FragilityFound,
     box: Robustness | None,
     verbose: bool,
@@ -109,11 +124,12 @@ def margins_lines(
     law = controller.law
     fixed = law.sample_period if law.states else None
     lines, brief = [COUNTERPART] if fixed is not None else [], []
-    for name, one in margins.items():
+    whose = [(name, one, " as implemented") for name, one in built.items()]
+    for name, one, of in [*whose, *((name, one, ", ideal" if built else "") for name, one in margins.items())]:
         if name and one.agrees and not verbose:
-            brief += _brief_lines(name, one)
+            brief += _brief_lines(f"{name}{of}", one)
             continue
-        lines += ["", *_loop_lines(_called(name, len(margins)), one, fixed)]
+        lines += ["", *_loop_lines(f"{_called(name, len(margins))}{of}", one, fixed)]
         lines += _agreement(one.agrees, verbose)
     headings = ("gain", "MuJoCo", "delay, ms", "MuJoCo")
     lines += ["", f"{'the others closed':{NAME + 2}}{''.join(f'{one:>{CELL}}' for one in headings)}", *brief] if brief else []
@@ -155,17 +171,19 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     told = verbose or len(worst) <= WIDTH - 6
     rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, _noted(edge, worst if told else ""))]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
-    rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
-    proved = proved_text(predicted)
-    details = [f"  {proved}", f"  {rounded}"] if verbose else [f"  {proved.partition(';')[0]}"]
+    details = [f"  {proved_text(predicted, norms=verbose)}"]
+    details += [f"  {rounding_text(controller.certificate.norm.value, fragile.rounding)}"] if verbose else []
     for promise in controller.robustness:
         details += wrapped(promise.text, "  ", 4)
     return [*_table("bears errors up to, %", rows), *details]
 
 
-def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
+def verdict(
+    margins: dict[str, LoopMargins], built: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+) -> str:
     """Returns the verdict on the predicted margins."""
-    wrong = [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
+    wrong = [f"{_called(name, len(margins))} as implemented" for name, one in built.items() if not one.agrees]
+    wrong += [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
     if not fragile.agrees:
         wrong.append(f"errors of {whose(fragile.predicted)}")
     if box is not None and not box.holds:
@@ -203,26 +221,30 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
         rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
     where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
     rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
-    samples = ""
-    if not one.delay.decided:
-        samples = UNDECIDED
-    elif math.isfinite(one.delay.unstable):
-        samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
-    elif not one.sees_delay:
-        samples = f"not found within {max(one.delay.tried):g} s; runs of the predicted delay would take too long"
-    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.found_delay, samples))
+    if one.delay.searched:
+        samples = ""
+        if math.isfinite(one.delay.unstable) and one.delay.decided:
+            samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
+        name = "delay, ms" if one.sample_period.searched else "more delay, ms"
+        note = _noted_edge(one.delay, one.found_delay, samples)
+        rows.append((name, 1e3 * one.predicted_delay, 1e3 * one.found_delay, note))
+    if not one.sample_period.searched:
+        return _table(title, rows)
     own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
     if predicted.all_sampled:
         own = "; ".join(filter(None, (own, "all forces sampled")))
     if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
         return [*_table(title, rows), f"  sample period: {own}"]
-    if not one.sample_period.decided:
-        own = "; ".join(filter(None, (own, UNDECIDED)))
-    if not one.sees_sample_period and math.isinf(one.found_sample_period):
-        tried = f"none up to {1e3 * max(one.sample_period.tried):g} ms; a longer one sees nothing of the bump"
-        own = "; ".join(filter(None, (own, tried)))
+    own = _noted_edge(one.sample_period, one.found_sample_period, own)
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, own))
     return _table(title, rows)
+
+
+def _noted_edge(edge: StabilityEdge, found: float, note: str) -> str:
+    """Returns a note on a time at which a loop is lost, with the reason if no run decides it."""
+    if not edge.decided:
+        return "; ".join(filter(None, (note, UNDECIDED)))
+    return "; ".join(filter(None, (note, f"none up to {edge.stable:g} s; {TOO_LONG}" if math.isnan(found) else "")))
 
 
 def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
@@ -256,7 +278,7 @@ def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, flo
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")
         for step, at, search in searches
-        if gain.finer.tried
+        if gain.finer.searched
     ]
 
 

@@ -21,14 +21,16 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.runs.prediction import predict
 from sim.runs.run import compare_runs, sample_times
-from sim.studies.stability.growth_test import Trial, grows, no_progress
-from synth.analysis.norm import hinf_norm
+from sim.studies.stability.edge import no_progress
+from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
+from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 
 GRID = 81  # norms that are taken first, whatever the box's dimension
 MOST = 4  # quantities that vary: physics runs two to that power
 EXAMPLE = "as in --vary sprung_mass:0.8:1.2"
+DURATION = 0.5  # s, of a run over a bump
 BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
 
 
@@ -40,7 +42,7 @@ class ParameterVertex:
         factors: factors on the parameters that vary.
         parameters: values of the parameters that change [SI].
         norm: the H-infinity norm; infinite where unstable.
-        decays: True if the motion in MuJoCo decays after a small bump.
+        decays: True if motion in MuJoCo decays, by the derivative of its step.
         agrees: True if MuJoCo agrees with the linear response over a bump.
     """
 
@@ -148,16 +150,20 @@ def robustness(
     corners = list(itertools.product(*((each.smallest, each.largest) for each in varied)))
     others = [_with_factors(vehicle, variations, corner) for corner in corners]
     trials = [Trial(other, controller) for controller in controllers for other in others]
-    physics = zip(grows(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
+    progress(f"{len(trials)} runs")
+    grows = [simulated_loop(step_derivative(trial.vehicle, timestep), trial).grows for trial in trials]
+    physics = zip(grows, _agree(trials, sample_times(vehicle, DURATION, timestep)), strict=True)
+    progress("")
     results: list[Robustness | None] = []
     for controller in controllers:
         known: dict[tuple[float, ...], float] = {}
 
         def norm(factors: Sequence[float], of: Controller = controller, known: dict[tuple[float, ...], float] = known) -> float:
-            """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
+            """The H-infinity norm on the vehicle with these factors, by one route; infinite where unstable."""
             at = tuple(map(float, factors))
             if at not in known:
-                known[at] = hinf_norm(of.loop(_with_factors(vehicle, variations, at))).value
+                gain = Gain(of.loop(_with_factors(vehicle, variations, at)))
+                known[at] = by_level_sets(gain)[0] if gain.stable else math.inf
             return known[at]
 
         factors, norms, worst, at = _worst(norm, varied)
@@ -166,11 +172,11 @@ def robustness(
             Robustness(
                 varied=varied,
                 computed=len(known),
-                norm=worst,
+                norm=hinf_norm(controller.loop(_with_factors(vehicle, variations, at))).value if math.isfinite(worst) else worst,
                 at=_changed(vehicle, variations, at),
                 corners=tuple(
-                    ParameterVertex(corner, _changed(vehicle, variations, corner), norm(corner), not growth.grows, agrees)
-                    for corner, (growth, agrees) in zip(corners, results_at_corners, strict=True)
+                    ParameterVertex(corner, _changed(vehicle, variations, corner), norm(corner), not grows, agrees)
+                    for corner, (grows, agrees) in zip(corners, results_at_corners, strict=True)
                 ),
                 factors=factors,
                 norms=norms,

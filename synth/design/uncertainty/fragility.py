@@ -7,6 +7,7 @@ errors of the entries of its gain include an error of the force. With several fo
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -97,12 +98,20 @@ class Fragility:
     Attributes:
         norm: norm without errors.
         stable: margin of stability.
-        within: margin by allowed relative increase of the norm.
+        heights: the norm as a function of factors.
+        rays: the ways to corners of boxes that are looked along.
     """
 
     norm: float
     stable: ErrorMargin
-    within: dict[float, ErrorMargin]
+    heights: WorstCaseNormFunction
+    rays: Array
+
+    @cached_property
+    def within(self) -> dict[float, ErrorMargin]:
+        """Returns the margin by allowed relative increase of the norm."""
+        with numerics():
+            return {share: _borne(self.heights, self.rays, self.norm * (1 + share)) for share in SHARES}
 
 
 @numerics()
@@ -117,8 +126,7 @@ def fragility(gain: ScaledGain) -> Fragility:
     if not np.isfinite(norm):
         raise ValueError("the loop is unstable as it is")
     rays = _rays(heights)
-    within = {share: _borne(heights, rays, norm * (1 + share)) for share in SHARES}
-    return Fragility(norm, _borne(heights, rays, np.inf), within)
+    return Fragility(norm, _borne(heights, rays, np.inf), heights, rays)
 
 
 def box_of_all(gain: ScaledGain, amount: float) -> Box:
@@ -164,15 +172,19 @@ def _borne(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMa
     if len(box_of_all(gain, 1.0).uncertain) > MOST:
         return ErrorMargin(0.0, np.inf, amount, *errors_at)
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
-    for smaller in tried if np.isfinite(amount) else (0.0, *tried):
-        proved = min(amount, 1.0) * (1 - smaller)
-        box, within = box_of_all(gain, proved), WorstCaseNormFunction(gain)
+    sizes = [min(amount, 1.0) * (1 - smaller) for smaller in (tried if np.isfinite(amount) else (0.0, *tried))]
+    proved, bound = 0.0, np.inf
+    while sizes:  # what is proved of a box is true of smaller ones
+        middle = len(sizes) // 2
+        box, within = box_of_all(gain, sizes[middle]), WorstCaseNormFunction(gain)
         if np.isinf(level):
             local_maximum(within, box)
-        bound = LOOSELY * within.highest if np.isinf(level) else level
-        if np.isfinite(bound) and bisect_bound(within, box, bound) is not None:
-            return ErrorMargin(proved, bound, amount, *errors_at)
-    return ErrorMargin(0.0, np.inf, amount, *errors_at)
+        least = LOOSELY * within.highest if np.isinf(level) else level
+        if np.isfinite(least) and bisect_bound(within, box, least) is not None:
+            proved, bound, sizes = sizes[middle], least, sizes[:middle]
+        else:
+            sizes = sizes[middle + 1 :]
+    return ErrorMargin(proved, bound, amount, *errors_at)
 
 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
@@ -183,8 +195,8 @@ def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tu
         for high in AMOUNTS:
             if low >= best:
                 break
-            norm = heights.norm(_at(heights.gain, high * ray))
-            if norm > level or np.isinf(norm):
+            point = _at(heights.gain, high * ray)
+            if heights.exceeds(point, level) if np.isinf(level) else not heights.norm(point) <= level:
                 edge = _edge(heights, ray, low, high, level)
                 if edge < best:
                     best, at = edge, edge * ray
@@ -258,13 +270,13 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     return text + proved_text(report)
 
 
-def proved_text(report: Fragility) -> str:
-    """Returns the proved margins in words."""
+def proved_text(report: Fragility, norms: bool = True) -> str:
+    """Returns the proved margins in words, those of the norm if requested."""
     stable = report.stable
     text = "that it is stable with errors is not proved"
     if stable.proved_margin:
         text = f"stable with each off by up to {100 * stable.proved_margin:.4g} %, which is proved"
-    for share, one in report.within.items():
+    for share, one in report.within.items() if norms else ():
         beyond = f", and not at {100 * one.smallest_violation:.4g} %" if math.isfinite(one.smallest_violation) else ""
         text += f"; the norm within {100 * share:g} % "
         text += f"up to {100 * one.proved_margin:.4g} %{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
