@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.edge import StabilityEdge, no_progress, search_and_run
 from sim.studies.stability.margin_search import GainMargin
-from sim.studies.stability.simulated_loop import STANDS, Trial, step_derivative
+from sim.studies.stability.simulated_loop import Trial, step_derivative
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
 from synth.controller.controller import Controller
@@ -23,6 +23,7 @@ from synth.design.uncertainty.problem import scaled_gain
 MOST = 1.0  # the largest error that is tried: a reading that is missing, or twice as large
 GRID = 64  # amounts up to it at which the sampled loop is looked at
 EXACT = 1e-6  # relative; how closely its own edge is found
+STILL = 1e-8  # 1/s; an integrator's pole is 1 but for rounding
 
 
 class FragilityEdge(GainMargin):
@@ -120,7 +121,7 @@ def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility
     def grows(amount: Array) -> Array:
         share = amount[:, None, None] / MOST
         radius = np.abs(np.linalg.eigvals(start + share * first + share**2 * second)).max(axis=1)
-        return np.log(radius) > STANDS * timestep  # an integrator's pole is 1 but for rounding
+        return np.log(radius) > STILL * timestep
 
     amounts = np.linspace(0.0, MOST, GRID + 1)
     lost = grows(amounts)

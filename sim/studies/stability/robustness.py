@@ -27,10 +27,10 @@ from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 
-GRID = 81  # norms that are taken first, whatever the box's dimension
+GRID = 49  # norms that are taken first, whatever the box's dimension
 MOST = 4  # quantities that vary: physics runs two to that power
 EXAMPLE = "as in --vary sprung_mass:0.8:1.2"
-DURATION = 0.5  # s, of a run over a bump
+DURATION = 0.3  # s, of a run over a bump
 BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
 
 
