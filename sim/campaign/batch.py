@@ -26,7 +26,7 @@ from sim.response.response import SILENT
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.open_loop import sampled
 from synth.plant.discrete import held_inputs
 
@@ -106,7 +106,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.is_curved
 
 
-def _system(vehicle: Vehicle, controller: Driver, timestep: float) -> tuple[Array, ...]:
+def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tuple[Array, ...]:
     """Returns the sampled loop of `sim.linear.sampled_response`: A, C, and B and D of each input.
 
     Inputs are road heights at the samples and midway, loads now and a step before, as accelerations feel them, and forces

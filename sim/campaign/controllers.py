@@ -19,11 +19,11 @@ from sim.campaign.manifest import ELSEWHERE, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.samples import Values
 from sim.command.comparison import controllers_of, warn
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
 
-def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict[str, Driver]]:
+def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict[str, AnyController]]:
     """Returns the controllers of a new campaign, by vehicle and name.
 
     Args:
@@ -51,8 +51,8 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
     Raises:
         InputError: the file of a law cannot be read, or is not as it was.
     """
-    controllers: dict[str, dict[str, Driver]] = {}
-    drawn: dict[str, dict[str, list[Driver]]] = {}
+    controllers: dict[str, dict[str, AnyController]] = {}
+    drawn: dict[str, dict[str, list[AnyController]]] = {}
     for name, vehicle in campaign.vehicles.items():
         designer = Designer(vehicle, search=False)  # one for all: they share the path of (22) and the lower bounds
         controllers[name] = {one: _restored(designer, one, gains[name][one]) for one in campaign.controllers}
@@ -61,12 +61,12 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
     return Plan(campaign, controllers, drawn)
 
 
-def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> Driver:
+def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
     """Returns a controller from its entry of the gains, driven by its exported code, made again, if the campaign began so."""
     vehicle, linear = designer.vehicle, name in designer.vehicle.linear_names
     if linear:
         law = designer.certify(name, entry["measured"], law_of(entry), vehicle.hardware(name))
-        driver: Driver = replace(law, preview=preview_of(entry)) if "preview" in entry else law
+        driver: AnyController = replace(law, preview=preview_of(entry)) if "preview" in entry else law
     else:
         driver = vehicle.controllers[name].driver()
     if "code" in entry:
@@ -79,7 +79,7 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> Driver
     return driver
 
 
-def _drawn(designer: Designer, name: str, values: Values) -> Driver:
+def _drawn(designer: Designer, name: str, values: Values) -> AnyController:
     """Returns a controller with drawn values of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
     return entry.driver() if entry.law is None else designer.certify(name, entry.measured, entry.law, entry.hardware)

@@ -11,7 +11,7 @@ import filelock
 
 from models.common.errors import InputError
 from models.common.files import made_folder, reading, whole_file
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
@@ -95,7 +95,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         return Manifest(**{name: whole[name] for name in names})
 
 
-def gains_of(controllers: Mapping[str, Mapping[str, Driver]]) -> dict[str, dict[str, dict[str, Any]]]:
+def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str, dict[str, dict[str, Any]]]:
     """Returns the gains by vehicle and controller for JSON, with every digit; for a law in Python its checksum."""
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}

@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.samples import Values, with_sample
 from sim.physics.run_blocks import runs_at_once
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 
 LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
 FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
@@ -94,8 +94,8 @@ class Plan:
     """
 
     campaign: Campaign
-    controllers: Mapping[str, Mapping[str, Driver]]
-    variants: Mapping[str, Mapping[str, Sequence[Driver]]] = field(default_factory=dict)
+    controllers: Mapping[str, Mapping[str, AnyController]]
+    variants: Mapping[str, Mapping[str, Sequence[AnyController]]] = field(default_factory=dict)
     roughness: dict[Hashable, dict[str, float]] = field(default_factory=dict)
 
     @cached_property
@@ -123,7 +123,7 @@ class Plan:
         variant, sample, seed = map(int, np.unravel_index(run - block.start, block.shape))
         return block, variant, sample, seed
 
-    def driver(self, vehicle: str, candidate: Candidate) -> Driver:
+    def driver(self, vehicle: str, candidate: Candidate) -> AnyController:
         """Returns the controller of a candidate."""
         drawn = self.variants.get(vehicle, {}).get(candidate.controller)
         return self.controllers[vehicle][candidate.controller] if drawn is None else drawn[candidate.variant or 0]
@@ -193,7 +193,7 @@ class PlannedRun:
 
     inputs: Mapping[str, Any]
     vehicle: Vehicle
-    controller: Driver
+    controller: AnyController
     choice: RoadChoice
     road: Road
 

@@ -28,7 +28,7 @@ from sim.runs.report import (
     verdict_lines,
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, names_of_warnings, unstable_by_itself, warning_lines
 from synth.controller.open_loop import LoopModel
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 def controllers_of(
     vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
-) -> list[Driver]:
+) -> list[AnyController]:
     """Returns the controllers of these names; no law in Python is run. One that cannot be designed is left out, with a warning.
 
     Args:
@@ -49,7 +49,7 @@ def controllers_of(
     Raises:
         InputError: no controller can be designed, the file of a law cannot be read, or the folder does not fit.
     """
-    drivers: list[Driver] = []
+    drivers: list[AnyController] = []
     errors: dict[str, InputError] = {}
     for name in names:
         try:
@@ -87,14 +87,14 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
     return {"left_out": left} if left else {}
 
 
-def warn(vehicle: Vehicle, controllers: Iterable[Driver]) -> None:
+def warn(vehicle: Vehicle, controllers: Iterable[AnyController]) -> None:
     """Warns on stderr of numbers of a vehicle that are probably not in SI units, and as `say_false_claims` does."""
     for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
         complain(doubt)
     say_false_claims(controllers)
 
 
-def say_false_claims(controllers: Iterable[Driver]) -> None:
+def say_false_claims(controllers: Iterable[AnyController]) -> None:
     """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
 
     Such a controller is driven all the same.

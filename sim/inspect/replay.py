@@ -32,7 +32,7 @@ from sim.response.response import Response
 from sim.runs.forces import read_forces
 from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, with_energy_balance
-from synth.controller.controller import Controller, Driver, verify_record
+from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
 
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
@@ -66,7 +66,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     return replace(vehicle, implementation=Implementation(**run.claim("implementation")))
 
 
-def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
+def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     """Returns the controller of a run: the vehicle file's, with the law of a design, and every proof, from the log.
 
     A law in Python is the attached text. If exported code drove the run, the code is made again.
@@ -82,7 +82,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     return replace(controller, code=code_again(vehicle, controller, run.claim("code")))
 
 
-def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
+def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
         raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
@@ -106,7 +106,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> Driver:
     return Controller(name, tuple(signals), law, given is None, certificate, hardware=hardware, preview=preview)
 
 
-def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> tuple[Run, Response]:
+def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
     """Makes a run again: predicts it by linear analysis, and runs MuJoCo. A law in Python applies the forces in the log.
 
     Args:
@@ -134,7 +134,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: Driver) -> 
     return with_energy_balance(compare_runs([prediction], made), made)[0], made.run(0)
 
 
-def kept(controller: Driver) -> tuple[Signal, ...]:
+def kept(controller: AnyController) -> tuple[Signal, ...]:
     """Returns the signals of a controller's states."""
     return kept_signals(range(1, controller.states + 1))
 

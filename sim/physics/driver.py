@@ -19,8 +19,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
-from synth.controller.controller import Controller
-from synth.controller.controller import Driver as Law
+from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
     from models.laws.python_runtime import FileRuns, LawRuns
@@ -99,7 +98,7 @@ class RecordedForces(ControlLaw):
     forces: Array
 
 
-RunDriver = Law | RecordedForces  # a controller or known commands, for one run
+RunDriver = AnyController | RecordedForces  # a controller or known commands, for one run
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
 from sim.runs.run import Run, sample_times
 from sim.studies.ride.metrics import DEGREES, angles_of
 from sim.studies.ride.standing import LOAD, MEASURES, RIDE, TRAVEL, Standing, best, digits
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 
 BRAKE = "brake:g=0.5"
 DIVE = "dive under 0.5 g [deg]"
@@ -143,7 +143,7 @@ def _cost(one: Standing, passive: Standing, key: str) -> str:
     return {RIDE: f"{more} acceleration", TRAVEL: f"{more} travel", LOAD: f"{more} change of tyre load"}[key]
 
 
-def titled(vehicle: Vehicle, stem: str, drivers: Sequence[Driver]) -> str:
+def titled(vehicle: Vehicle, stem: str, drivers: Sequence[AnyController]) -> str:
     """Returns the title of a page: vehicle file, kind, and controllers."""
     names = [one.name for one in drivers]
     kind = vehicle.kind.name.replace("_", " ")

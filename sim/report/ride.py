@@ -22,7 +22,7 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
 from sim.studies.ride.standing import Standing, standing, standing_over_runs
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 
 CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
 AVERAGE = "C"  # the class that controllers are compared on
@@ -155,7 +155,7 @@ def ride_text(vehicle: Vehicle) -> str:
 class OverRoads:
     """A controller in MuJoCo over the roads of some classes."""
 
-    def __init__(self, vehicle: Vehicle, controller: Driver, timestep: float, classes: str | None = None) -> None:
+    def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
         """Drives it, by default over the roads of all classes."""
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
         linear = isinstance(controller, Controller)

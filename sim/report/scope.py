@@ -17,7 +17,7 @@ from sim.runs.run import sample_times
 from sim.studies.frequency.identification import check
 from sim.studies.stability import TIMESTEP
 from synth.analysis.specification import SampledNorm
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
@@ -38,7 +38,7 @@ class Exported:
     """
 
     folder: Path
-    driver: Driver
+    driver: AnyController
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Scope:
     timestep: float
     quick: bool
     progress: Callable[[str], None]
-    laws: tuple[Driver, ...] = ()
+    laws: tuple[AnyController, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
     exported: Exported | None = None
@@ -99,11 +99,11 @@ class Scope:
         return file_stem(self.vehicle)
 
     @property
-    def driven(self) -> tuple[Driver, ...]:
+    def driven(self) -> tuple[AnyController, ...]:
         """All that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
-    def unstable(self, controller: Driver) -> bool:
+    def unstable(self, controller: AnyController) -> bool:
         """Returns True if a loop is known to be unstable, ideal or implemented."""
         return isinstance(controller, Controller) and controller not in self.stable
 
@@ -238,7 +238,7 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
     steps_per_sample(vehicle.implementation, timestep)
 
 
-NAME = Column[Driver]("controller", lambda one: one.name)
+NAME = Column[AnyController]("controller", lambda one: one.name)
 
 
 def at_most(value: float) -> str:

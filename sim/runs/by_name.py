@@ -10,13 +10,13 @@ from models.laws.python_law import of_function
 from models.roads.road import Road
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from sim.physics.driver import Driver as OwnDriver
+from sim.physics.driver import Driver
 from sim.runs.run import Run, run_controllers, sample_times
-from synth.controller.controller import Driver, check_fits
+from synth.controller.controller import AnyController, check_fits
 from synth.vehicle.designer import Designer
 
 ControllerLike = Annotated[
-    Driver | ControllerEntry | str | Callable[..., Any] | OwnDriver,
+    AnyController | ControllerEntry | str | Callable[..., Any] | Driver,
     Must("a controller, its name, an entry of vehicle.controllers, a function or a driver", lambda value: True),
 ]
 
@@ -66,9 +66,9 @@ def run(
     return run_controllers(vehicle, drivers, road, time)
 
 
-def _driver(designer: Designer, given: ControllerLike) -> Driver:
+def _driver(designer: Designer, given: ControllerLike) -> AnyController:
     """Returns the controller of a name, of an entry of the vehicle file, or of a function."""
-    if isinstance(given, Driver):
+    if isinstance(given, AnyController):
         return given
     if not isinstance(given, str | ControllerEntry):
         return of_function(given, designer.vehicle.linear_model.measurable)

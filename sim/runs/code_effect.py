@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.common.printed import finite, table
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
-from synth.controller.controller import Driver, code_of
+from synth.controller.controller import AnyController, code_of
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
 
@@ -65,7 +65,7 @@ class CodeEffect:
 
 
 def code_effect(
-    driver: Driver, physics: Response, law_physics: Response, names: Sequence[str], until: float, law_agrees: bool
+    driver: AnyController, physics: Response, law_physics: Response, names: Sequence[str], until: float, law_agrees: bool
 ) -> CodeEffect:
     """Returns the effect of exported code on a run.
 

@@ -22,8 +22,7 @@ from sim.physics.computer import driver_of, implementation_around, measurement_n
 from sim.physics.driver import steps_ahead
 from sim.physics.simulate import Commanded
 from sim.response.response import Response
-from synth.controller.controller import Controller, code_of
-from synth.controller.controller import Driver as Law
+from synth.controller.controller import AnyController, Controller, code_of
 
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
 
@@ -77,7 +76,9 @@ class _Samples:
     states: Array
 
 
-def compare_commands(controller: Law, road: RoadInput, physics: Response, commanded: Commanded, until: float) -> CommandAgreement:
+def compare_commands(
+    controller: AnyController, road: RoadInput, physics: Response, commanded: Commanded, until: float
+) -> CommandAgreement:
     """Returns the comparison of a run's commands with its control law, for the samples before a time [s].
 
     Args:
@@ -133,12 +134,14 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
     return CommandAgreement(worst.error, worst.allowed, worst.signal, since)
 
 
-def _states_as_run(controller: Law, states: Array, period: float) -> Array:
+def _states_as_run(controller: AnyController, states: Array, period: float) -> Array:
     """Returns recorded states, which are those of the controller's own law, as those of the law that is run."""
     return states / controller.state_scale(period)
 
 
-def _readings(controller: Law, road: RoadInput, physics: Response, commanded: Commanded, due: Array) -> Iterator[Difference]:
+def _readings(
+    controller: AnyController, road: RoadInput, physics: Response, commanded: Commanded, due: Array
+) -> Iterator[Difference]:
     """Yields the differences of measurements from the run's signals at the samples.
 
     An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.runs.steps`).
@@ -154,7 +157,7 @@ def _readings(controller: Law, road: RoadInput, physics: Response, commanded: Co
 
 
 def _commands(
-    controller: Law, road: RoadInput, samples: _Samples, commanded: Commanded, count: int, late: int
+    controller: AnyController, road: RoadInput, samples: _Samples, commanded: Commanded, count: int, late: int
 ) -> Iterator[Difference]:
     """Yields the differences of commands, and of the states of a linear law, from the law's."""
     vehicle, times = road.vehicle, road.time[:count]
@@ -225,7 +228,7 @@ def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) ->
     return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
 
 
-def _again(controller: Law, road: RoadInput, samples: _Samples) -> Array:
+def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
     """Returns the commands of a law in Python, an FMU or exported code that is started again, shape (K, c)."""
     from models.suspension.damper_range import range_of
 

@@ -16,7 +16,7 @@ from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
-from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.controller import AnyController, Controller, code_of
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Prediction:
     """
 
     input: RoadInput
-    controller: Driver
+    controller: AnyController
     sampled: Response
     integrated: Response
     continuous: Response
@@ -134,7 +134,7 @@ def predict_forced(controller: Programmed, road: RoadInput, commands: Array) -> 
     return Prediction(road, controller, sampled, integrated, continuous, requested_force=commands)
 
 
-def unpredicted(controller: Driver, road: RoadInput, commands: Array | None = None) -> Prediction:
+def unpredicted(controller: AnyController, road: RoadInput, commands: Array | None = None) -> Prediction:
     """Returns the prediction of a run that is not linear, since its controller sets adjustable dampers: there is no response.
 
     A linear law has the continuous response that it would have if all its forces were given.
@@ -150,7 +150,7 @@ def unpredicted(controller: Driver, road: RoadInput, commands: Array | None = No
     return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
 
 
-def predicted(controller: Driver, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
+def predicted(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
     """Returns the prediction of one run from rest, whatever its controller.
 
     Args:
@@ -164,6 +164,6 @@ def predicted(controller: Driver, road: RoadInput, commands: Array, most_states:
     return unpredicted(controller, road)
 
 
-def _has_response(vehicle: Vehicle, controller: Driver) -> bool:
+def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:
     """Returns True if there is an exact sampled response: the dampers are not adjusted."""
     return not vehicle.dampers or (isinstance(controller, Controller) and not controller.law.acts)

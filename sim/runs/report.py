@@ -33,7 +33,7 @@ from sim.runs.code_effect import code_object
 from sim.runs.commands import CommandAgreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver, has_anti_windup
+from synth.controller.controller import AnyController, Controller, has_anti_windup
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
@@ -154,7 +154,7 @@ def half_step_object(run: Run) -> dict[str, Any] | None:
     return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
 
 
-def controller_object(controller: Driver) -> dict[str, Any]:
+def controller_object(controller: AnyController) -> dict[str, Any]:
     """Returns a controller for JSON; the linear claims of a law in Python are None."""
     if not isinstance(controller, Controller):
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
@@ -167,7 +167,7 @@ def controller_object(controller: Driver) -> dict[str, Any]:
     }
 
 
-def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
+def controller_lines(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns lines on a controller and its claims."""
     if not isinstance(controller, Controller):
         heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {controller.text}"]
@@ -176,7 +176,7 @@ def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
     return [*heading, *(f"  {sentence}" for sentence in _found(vehicle, controller))]
 
 
-def claims(controller: Driver) -> str:
+def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller in a line, or why it has none."""
     if isinstance(controller, SemiActive):
         return NO_CLAIM_OF_SWITCHING
@@ -190,7 +190,7 @@ def claims(controller: Driver) -> str:
     return f"norm {norm.value:.7g}{where}{f', bound {certificate.bound:.7g}' if certificate.bound is not None else ''}{alone}"
 
 
-def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
+def _found(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns sentences on a controller beside its gain."""
     if isinstance(controller, SemiActive):
         return [NO_CLAIM_OF_SWITCHING]

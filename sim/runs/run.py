@@ -23,7 +23,7 @@ from sim.response.response import Response
 from sim.runs.agreement import SMALL, Agreement, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
-from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
     from models.figures.figure import Panel
@@ -153,7 +153,7 @@ class Run(ShownRun):
         return self.prediction.vehicle
 
     @property
-    def controller(self) -> Driver:
+    def controller(self) -> AnyController:
         """Returns the controller of the run."""
         return self.prediction.controller
 
@@ -228,7 +228,9 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array, balanced: bool = True) -> list[Run]:
+def run_controllers(
+    vehicle: Vehicle, controllers: Sequence[AnyController], road: Road, time: Array, balanced: bool = True
+) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:

@@ -186,7 +186,7 @@ class Controller(ControlLaw, Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
-Driver = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
 
 
 def code_of(driver: object) -> Any:
@@ -199,7 +199,7 @@ def has_anti_windup(controller: object) -> bool:
     return isinstance(controller, Controller) and controller.law.anti_windup is not None
 
 
-def check_fits(vehicle: Vehicle, *controllers: Driver) -> None:
+def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
     """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
 
     Raises:

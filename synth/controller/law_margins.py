@@ -22,7 +22,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import wrapped
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
 
@@ -135,7 +135,7 @@ def _warned(margins: Mapping[str, LawMargins]) -> tuple[dict[str, LawMargins], d
     return grow, {name: one for name, one in margins.items() if one.small and name not in grow}
 
 
-def unstable_by_itself(driver: Driver) -> bool:
+def unstable_by_itself(driver: AnyController) -> bool:
     """Returns True if a driver is a linear controller whose law is unstable by itself."""
     return isinstance(driver, Controller) and driver.law.growth > 0
 

@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import Controller, Driver, certify_law, on_readings, verify_record
+from synth.controller.controller import AnyController, Controller, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
@@ -425,7 +425,7 @@ def certify_given(
     return Designer(vehicle).certify(name, measured, law, hardware)
 
 
-def driver_of(vehicle: Vehicle, name: str) -> Driver:
+def driver_of(vehicle: Vehicle, name: str) -> AnyController:
     """Returns a controller of any kind, whose law the vehicle file gives."""
     if name in vehicle.linear_names:
         return Designer(vehicle, search=False).design(name)

@@ -37,7 +37,7 @@ from sim.physics import RUNS_AT_ONCE
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import validity
 from synth.analysis.norm import hinf_norm
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
@@ -88,7 +88,7 @@ CORNERS = [(ACTIVE, "leaky", 1.2), (SEMI_ACTIVE, "sky", 1.2)]
 DRIVEN = [("quarter_car", "I", 1.05), ("half_car", "I", 1.2), ("full_car", "I", 1.2), *CORNERS]
 
 
-def driver_of(vehicle: Vehicle, name: str) -> Driver:
+def driver_of(vehicle: Vehicle, name: str) -> AnyController:
     """Returns a controller of a vehicle file."""
     return Designer(vehicle).design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver()
 

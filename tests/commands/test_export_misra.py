@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 from synth.controller.export.c_law import c_name, exported_law
 from synth.controller.export.c_source import CSource
 from synth.vehicle.designer import Designer
@@ -21,7 +21,7 @@ from tests.support.commands import attacks
 ALLOWED = {"8.9": "advisory: a table that one function alone reads is in NAME_data.h, where it is found and compared, not in it"}
 
 
-def findings(vehicle, driver: Driver, numbers: str, folder: Path) -> tuple[set[str], str]:
+def findings(vehicle, driver: AnyController, numbers: str, folder: Path) -> tuple[set[str], str]:
     """Returns the MISRA C:2012 rules that the code of a controller breaks, and the errors and warnings of cppcheck itself."""
     law = exported_law(vehicle, driver, numbers, c_name(driver.name))
     for name, text in CSource(law, "0" * 64).files.items():

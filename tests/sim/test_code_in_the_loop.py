@@ -27,7 +27,7 @@ from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.controller import AnyController, Controller, code_of
 from synth.controller.export.c_law import exported_law
 from synth.controller.export.c_source import CSource
 from synth.controller.export.compiled import ExportedCode
@@ -46,7 +46,7 @@ actuator_force = 150.0
 """
 
 
-def coded(vehicle: Vehicle, driver: Driver, numbers: str, ranges: dict[str, float] | None = None) -> Driver:
+def coded(vehicle: Vehicle, driver: AnyController, numbers: str, ranges: dict[str, float] | None = None) -> AnyController:
     """Returns a controller that its exported code drives."""
     law = exported_law(vehicle, driver, numbers, "law", ranges)
     return dataclasses.replace(driver, code=ExportedCode(law, CSource(law, "0" * 64).files, numbers))

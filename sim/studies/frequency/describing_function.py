@@ -23,7 +23,7 @@ from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
-from synth.controller.controller import Driver, has_anti_windup
+from synth.controller.controller import AnyController, has_anti_windup
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
@@ -69,7 +69,7 @@ class DescribingFunction:
         ended: ends of the linear regime in any of the runs.
     """
 
-    controller: Driver
+    controller: AnyController
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     omega: Array
@@ -106,7 +106,7 @@ class DescribingFunction:
 
 
 def describing_function(
-    vehicle: Vehicle, controller: Driver, amplitude: float, timestep: float, speed: float
+    vehicle: Vehicle, controller: AnyController, amplitude: float, timestep: float, speed: float
 ) -> DescribingFunction:
     """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
 

@@ -28,7 +28,7 @@ from sim.studies.ride.expected import (
 )
 from sim.studies.ride.metrics import measure, metrics_of, points, static_angles
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road that the first wheel passes, defined at 80 km/h whatever the vehicle's speed"
@@ -127,7 +127,7 @@ class RunMetrics(Shown):
 
 
 def measured_samples(
-    driven: Sequence[tuple[Vehicle, Driver]], road: Road, duration: float, timestep: float
+    driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float
 ) -> tuple[int, int | None]:
     """Returns the first sample that is measured, and the one after the last; None for the end of the run.
 

@@ -20,7 +20,7 @@ from models.laws.anti_windup import anti_windup_gain
 from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import AnyController, Controller
 from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, rounded_shift
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
@@ -122,7 +122,7 @@ def c_name(name: str) -> str:
 
 def exported_law(
     vehicle: Vehicle,
-    driver: Driver,
+    driver: AnyController,
     numbers: str,
     name: str,
     ranges: Mapping[str, float] | None = None,
@@ -190,7 +190,7 @@ def exported_law(
     return made
 
 
-def proved_ranges(driver: Driver) -> dict[str, tuple[float, str]]:
+def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
     """Returns the range of every reading whose peak is proved by a goal, and in words where it is from, by name.
 
     The peak is that of the ideal loop: `SPARE` is for what sampling and rounding add. At the range a reading is clipped.
@@ -207,7 +207,7 @@ def proved_ranges(driver: Driver) -> dict[str, tuple[float, str]]:
 
 
 def _ranges(
-    vehicle: Vehicle, driver: Driver, given: Mapping[str, float], sources: Mapping[str, str]
+    vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
     """Returns the range of each reading of a controller in fixed point, shape (q,), and where each is from.
 

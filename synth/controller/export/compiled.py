@@ -20,7 +20,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Driver
+from synth.controller.controller import AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
@@ -136,7 +136,7 @@ class CompiledStep:
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
-def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> ExportedCode:
+def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any]) -> ExportedCode:
     """Returns the code that a record tells of, made again from a controller.
 
     Raises:

@@ -15,7 +15,7 @@ from models.common.errors import InputError
 from models.common.files import read_text
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.controller.controller import SUFFIX, Controller, Driver
+from synth.controller.controller import SUFFIX, AnyController, Controller
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import ExportedCode
@@ -27,7 +27,7 @@ CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
 
-def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, Any]:
+def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
     """Returns what certificate.json holds: the law, its tables as they are run, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law, name) for name in TABLES}
@@ -45,7 +45,7 @@ def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str,
     return found
 
 
-def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
+def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
     source = CSource(law, sha256(record))
@@ -78,7 +78,7 @@ def _digits(law: ExportedLaw, value: Any) -> str:
     return np.format_float_scientific(NUMBERS[law.numbers](value), unique=True, trim="0")
 
 
-def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
+def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     p, how, tick = law.name, vehicle.implementation, "`"
     source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
@@ -166,7 +166,7 @@ def _faults(law: ExportedLaw) -> str:
     )
 
 
-def _claims(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
+def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     if not isinstance(driver, Controller):
         return "No linear claim is made of a semi-active law. `python -m sim.drive` says what it does on a road."
     entry = vehicle.controllers.get(driver.name)
@@ -197,7 +197,7 @@ class ExportedFolder:
     failures: tuple[str, ...]
 
 
-def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> ExportedFolder:
+def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]) -> ExportedFolder:
     """Returns an exported folder, with every file of its manifest compared with its checksum.
 
     Args:
@@ -225,7 +225,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     return ExportedFolder(folder, vehicle, law, tuple(failures))
 
 
-def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) -> list[Driver]:
+def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
     """Returns controllers of a vehicle, of which the code of a folder drives the one that was exported.
 
     Raises:
@@ -250,7 +250,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
-def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> bool:
+def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool:
     """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
     ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
     try:
