@@ -172,16 +172,15 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
 
 def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargins", timestep: float) -> "dict[str, Run]":
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
-    from models.roads.road import Bump
     from models.vehicle.limits_and_implementation import Implementation
     from sim.runs.run import run_controllers, sample_times
+    from sim.studies.stability.margin_search import BUMP
 
-    bump = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # body and wheels, every roll; soon over; lifts none
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
     time, runs = sample_times(vehicle, RECORDED, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
-        (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], bump, time)
+        (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], BUMP, time)
     return runs
 
 

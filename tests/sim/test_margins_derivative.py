@@ -15,10 +15,11 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.margins import main
+from sim.physics.step_derivative import step_derivative
 from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.margin_search import find_implemented_margins, implemented_searches
-from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
+from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.controller.stability_margins import sampled_margins
 from synth.vehicle.designer import certify_given
 from tests.support.analysed import sampled_radius

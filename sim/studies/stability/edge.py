@@ -13,7 +13,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from sim.physics.run_blocks import BatchInputs, in_blocks
-from sim.studies.stability.simulated_loop import SimulatedLoop, StepDerivative, Trial, simulated_loop
+from sim.physics.step_derivative import StepDerivative
+from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
 
 WIDTH = 2e-3  # relative; of the bracket of a real number
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # times what is expected
@@ -161,7 +162,7 @@ def _duration(loop: SimulatedLoop) -> float:
 def _rate(state: Array, start: Array, loop: SimulatedLoop, duration: float) -> float:
     """Returns the rate of a mode between two states of a run [1/s]; NaN if it moves too little."""
     mode = loop.slowest[1][: len(state)]
-    basis = np.stack([mode.real, -mode.imag], axis=1)
+    basis = np.stack([np.real(mode), -np.imag(mode)], axis=1)
     if not np.all(np.isfinite(state)):
         return math.inf
     sizes = np.linalg.norm(np.linalg.lstsq(basis, np.stack([start[: len(state)], state], axis=1))[0], axis=0)

@@ -8,17 +8,20 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Positive
+from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
+from sim.physics.step_derivative import StepDerivative, step_derivative
 from sim.runs.run import sample_times
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
-from sim.studies.stability.simulated_loop import StepDerivative, Trial, step_derivative
+from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings, sampled_margins
 
+BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # of recorded runs: soon over, lifts no wheel
 LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
 AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %

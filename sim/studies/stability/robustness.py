@@ -19,10 +19,11 @@ from models.kinds.kind import Variation, VehicleKind
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
+from sim.physics.step_derivative import step_derivative
 from sim.runs.prediction import predict
 from sim.runs.run import compare_runs, sample_times
 from sim.studies.stability.edge import no_progress
-from sim.studies.stability.simulated_loop import Trial, simulated_loop, step_derivative
+from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel

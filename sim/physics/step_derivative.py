@@ -1,0 +1,78 @@
+"""Derivative of MuJoCo's own step about equilibrium.
+
+A step takes position, velocity and lagging forces z to A z + B u under the acting forces u. The sensors before it measure
+C z + D u, with the forces of the step before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.vehicle.mjcf import quiet
+from models.vehicle.vehicle import Vehicle
+from sim.physics.sensor_readout import prepared
+
+MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
+SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ
+
+
+@dataclass(frozen=True, eq=False)
+class StepDerivative:
+    """Derivative of one step of MuJoCo about equilibrium, with the road at rest.
+
+    Attributes:
+        A, B: shapes (n, n) and (n, m).
+        C, D: shapes (p, n) and (p, m).
+        names: names of the p signals.
+        lagging: number of lagging forces among the n states, the last ones.
+        timestep: timestep of the physics [s].
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    names: tuple[str, ...]
+    lagging: int
+    timestep: float
+
+    def rows(self, measured: Sequence[str]) -> Array:
+        """Returns the measurements on [z; u], shape (q, n + m)."""
+        return np.hstack([self.C, self.D])[[self.names.index(name) for name in measured]]
+
+
+@lru_cache(maxsize=16)
+def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
+    """Returns the derivative of a step, by central differences of runs side by side.
+
+    Raises:
+        InputError: MuJoCo has no derivative at equilibrium, because a curve bends there.
+    """
+    model, readout = prepared(vehicle, timestep)
+    n, m = model.nq + model.nv + model.na, len(vehicle.linear_model.inputs)
+    sizes = np.concatenate([np.full(model.nq + model.nv, MOTION), np.full(model.na + m, FORCE)])
+    batch = Batch(model, 2 * len(sizes) + 1, 1)
+    parts = [batch.bind(name) for name in ("qpos", "qvel", "act")]
+    away = np.concatenate([np.diag(sizes), -np.diag(sizes), np.zeros((1, n + m))])
+    ends = np.cumsum([0, *(part.shape[1] for part in parts)])
+    for part, start in zip(parts, ends, strict=False):
+        part[:] = away[:, start : start + part.shape[1]]
+    batch.bind("ctrl")[:, :m], sensors = away[:, n:], batch.bind("sensordata")
+    with quiet():
+        batch.forward()
+        seen = sensors @ readout.of_sensors.T
+        batch.step()
+    values = np.hstack([*parts, seen])
+    up, down = values[: n + m] - values[-1], values[-1] - values[n + m : -1]
+    slopes = (up + down) / (2 * sizes[:, None])
+    if np.any(np.abs(up - down).max(axis=0) > SMOOTH * np.abs(up + down).max(axis=0)):
+        raise InputError(
+            "the vehicle has no derivative at equilibrium, where a curve bends; give sim.linear.nonlinear_elements.at_rest of it"
+        )
+    A, B, C, D = slopes[:n, :n].T, slopes[n:, :n].T, slopes[:n, n:].T, slopes[n:, n:].T
+    return StepDerivative(A, B, C, D, readout.names, model.na, timestep)
