@@ -21,10 +21,10 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2366   1738      0
+what all commands share: files, options, checks, tables of numbers   2373   1738      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           4831   1402    203
+vehicle file, types, equations, MJCF                           4894   1402    211
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
@@ -32,30 +32,30 @@ vehicle file, types, equations, MJCF                           4831   1402    20
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
 laws and families in files                                      242    330     91
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
-foreign FMU as a controller                                     153    184      0
+foreign FMU as a controller                                     141    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  598    694     99
+laws in Python                                                  623    693     99
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    124
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1568   1008    143
+semi-active dampers and laws                                   1235    844    142
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1669   1133     40
+curves of dampers and springs, statistical linearisation       1562   1004     40
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      403    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      814   1557     52
+loads, links, tyre damping                                      814   1522     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1082    977      0
+measured roads, rigs, OpenCRG, IRI                             1082    940      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1674    613     91
+analytic and random roads                                      1674    715     91
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     51
@@ -71,7 +71,7 @@ goals, families, trade-off front                               4555   1670    12
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
-uncertainty: fragility, mu, boxes                              2853    932     61
+uncertainty: fragility, mu, boxes                              2865    932     61
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
@@ -79,7 +79,7 @@ sampled data: norm, bound, designs, rates                      2378   1451    11
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3284   1424     94
+export: C99, fixed point, FMI, MATLAB                          3270   1424     91
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                          1007    727    114
@@ -101,49 +101,49 @@ plant algebra, filters, any plant                              2249   1817    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3147    638    151
+synth command, controller record, designer                     3156    638    151
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
-log re-verification                                             846    600     42
+log re-verification                                             850    600     42
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2213   1135     46
+recordings: MCAP, Foxglove, Rerun                              2214   1145     46
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               5769   1722     76
+page and figures                                               5726   1722     69
     sim/report/* models/figures/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2479   1618    163
+campaigns                                                      2495   1618    163
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               853    405     50
+gallery of papers                                               853    405     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2566    876     67
+margins in physics                                             2445    947     74
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1886    581     37
+frequency, sweep                                               1887    581     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2272   1123      0
+ride metrics and their expectation                             2217   1123      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-map of validity                                                 952    313     30
+map of validity                                                1057    385     36
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    1688    867     13
+MuJoCo loop                                                    1788    836     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                               1046    418      0
+linear responses                                               1024    374      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3129    937     60
+runs, verdict, their text                                      3087    883     55
     sim/runs/{__init__,agreement,by_name,commands,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1120   1043    349
+commands that drive                                            1122   1040    348
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3725   1512
+house, pages, benchmarks                                          0   3749   1509
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*

@@ -17,7 +17,7 @@ from models.common.threads import AHEAD, one_thread, side_by_side
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
-from sim.physics.run_blocks import BatchInputs, in_blocks, in_shares
+from sim.physics.run_blocks import BatchInputs, in_shares
 from tests.support.analysed import simulate
 from tests.support.shared import designed
 
@@ -101,23 +101,6 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     assert all(event.is_set() for event in begun)
     assert sorted(ended) == [(0, True), (1, True)]
     assert threading.active_count() <= before + 1  # the timer's own may still be there
-
-
-def test_a_run_that_is_not_wanted_stays_where_it_is(paper, designer):
-    """The remaining runs go on as they would have beside the others, and those that are not wanted do not move."""
-    time = times(1e-3, 0.3)
-    heights = np.sin(20 * time)[:, None, None] * np.linspace(0.01, 0.03, 3)[:, None]
-    vehicles = [paper, replace(paper, implementation=Implementation(sample_period=4e-3, delay=2)), paper]
-    course, going = (
-        BatchInputs(vehicles, [designer.design("I")] * 3, heights, heights, 1e-3, (0, 100, 200, len(time))),
-        np.full(3, True),
-    )
-    whole, left = in_blocks(course), in_blocks(replace(course, going=going))
-    for k in range(3):
-        all_of_them, some = next(whole), next(left)
-        np.testing.assert_array_equal(some.values[:, :, going], all_of_them.values[:, :, going])
-        np.testing.assert_array_equal(some.qpos[1:, ~going], np.broadcast_to(some.qpos[:1, ~going], some.qpos[1:, ~going].shape))
-        going[k] = False
 
 
 def test_work_is_taken_as_threads_become_free():

@@ -14,7 +14,7 @@ from models.common.printed import wrapped
 from models.laws.law_structure import LawStructure, pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.margins import _with_loop
+from sim.margins import _check_loop
 from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
@@ -303,7 +303,7 @@ def test_an_unstable_pid_says_what_its_signs_mean():
         "mine FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd gives a force that lifts the body"
     )
     with pytest.raises(InputError, match="against it gains are negative"):
-        _with_loop(designer.vehicle, wrong, 1e-3)
+        _check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)
     right = quarter_car(pid_section(kp=-2000.0, ki=-500.0)).design("mine")
     assert sign_note(right) == ""
 
