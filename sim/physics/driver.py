@@ -52,17 +52,29 @@ class Driver(Protocol):
         >>> smoothed.passed
         True
 
-    Attributes:
-        measured: names of the q signals that it reads, in their order. Names of `sim.physics.actuators.closing_names` are those
-            of the closing velocities of suspensions [m/s].
-        ahead: number P of road heights that it reads under each wheel, the present one included; 0 without preview.
-        requests: meaning of what it returns. "forces" [N] and "coefficients" of all dampers [N s/m] have shape (N, m), and
-            actuators limit them. "commands" are applied unchanged, see `sim.physics.actuators.Actuators`.
     """
 
-    measured: tuple[str, ...]
-    ahead: int
-    requests: Request
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the q signals that it reads, in their order.
+
+        Names of `sim.physics.actuators.closing_names` are those of the closing velocities of suspensions [m/s].
+        """
+        ...
+
+    @property
+    def ahead(self) -> int:
+        """Number P of road heights that it reads under each wheel, the present one included; 0 without preview."""
+        ...
+
+    @property
+    def requests(self) -> str:
+        """Meaning of what it returns.
+
+        "forces" [N] and "coefficients" of all dampers [N s/m] have shape (N, m), and actuators limit them. "commands" are applied
+        unchanged, see `sim.physics.actuators.Actuators`.
+        """
+        ...
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
         """Returns the states before the first sample, shape (N, k); k is 0 for laws that keep their states to themselves.

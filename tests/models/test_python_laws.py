@@ -27,10 +27,11 @@ from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import sampled_response, taylor4
 from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
+from sim.runs.prediction import predicted
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
-from tests.support.analysed import predict_forced, simulate
+from tests.support.analysed import simulate
 from tests.support.commands import environment, main_of, prose
 from tests.support.curved import DIGRESSIVE, with_curves
 from tests.support.pages import site
@@ -178,7 +179,7 @@ def test_it_can_disagree(tmp_path):
     path = vehicle_of(tmp_path, GAIN)
     vehicle, runs = read_vehicle(path), driven(path)
     time, given = runs.response.time, runs.commanded(0)
-    prediction = predict_forced(vehicle, vehicle.controllers["mine"].driver(), Bump(), time, runs.requested_force[0])
+    prediction = predicted(vehicle.controllers["mine"].driver(), RoadInput(vehicle, Bump(), time), runs.requested_force[0])
     for share, agrees in {1.0: True, 1.00001: False}.items():
         found = compare(prediction, runs.run(0), replace(given, commands=share * given.commands))
         assert (found.step_by_step, found.commanded) == (agrees, agrees)

@@ -43,7 +43,8 @@ def drawn_law(rng, names, forces):
         return measured, LinearLaw(-fast * np.eye(forces), B, C, D)
     A = np.array([[-fast * rng.uniform(0.2, 1), fast], [-fast, -fast * rng.uniform(0.2, 1)]])
     B, C = rng.standard_normal((2, 1)), size * fast * rng.standard_normal((1, 2))
-    return measured, LinearLaw(*(np.kron(np.eye(forces), part) for part in (A, B, C, np.zeros((1, 1)))))
+    A, B, C, D = (np.kron(np.eye(forces), part) for part in (A, B, C, np.zeros((1, 1))))
+    return measured, LinearLaw(A, B, C, D)
 
 
 def drawn_loop(seed):

@@ -9,7 +9,6 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear import sampled_response as linear
@@ -66,7 +65,3 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 
 def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
     return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
-
-
-def predict_forced(vehicle: Vehicle, controller: Programmed, road: Road, time: Array, asked: Array) -> Prediction:
-    return prediction.predict_forced(controller, RoadInput(vehicle, road, time), asked)
