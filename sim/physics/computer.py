@@ -95,7 +95,7 @@ class Computer:
         noise = measurement_noise(how, drawn, samples)
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
-    def resume(self, states: Sequence[Array], pending: Sequence[Array], commands: Array) -> None:
+    def resume(self, states: Sequence[Array], pending: Sequence[Sequence[Array] | Array], commands: Array) -> None:
         """Sets the states of its runs at the start, their pending forces and the command that acts until the first arrives."""
         for i, (state, forces) in enumerate(zip(states, pending, strict=True)):
             self._state[i, : len(state)] = state

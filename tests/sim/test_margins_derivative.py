@@ -25,7 +25,7 @@ from synth.vehicle.designer import certify_given
 from tests.support.analysed import sampled_radius
 from tests.support.shared import designed
 
-FILTERED = LinearLaw(*map(np.array, ([[-40.0]], [[1.0, 0.02]], [[-4000.0]], [[-500.0, -8.0]])))
+FILTERED = LinearLaw(np.array([[-40.0]]), np.array([[1.0, 0.02]]), np.array([[-4000.0]]), np.array([[-500.0, -8.0]]))
 
 
 @pytest.mark.parametrize("lag", [None, 60.0])
