@@ -153,7 +153,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
-    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(road, physics), diverged)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), first_loose(road, physics), diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     if prediction.is_linear:
         foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
@@ -198,7 +198,7 @@ def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) ->
     A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
     """
     end = min(ended[FLAT.name], physics.diverged)
-    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(road, physics))
+    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], first_loose(road, physics))
 
 
 def to_first_order(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:
@@ -229,7 +229,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
     return tuple(sorted(intervals))
 
 
-def _first_loose(met: RoadInput, physics: Response) -> float:
+def first_loose(met: RoadInput, physics: Response) -> float:
     """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
     MuJoCo holds the road at one height over a step, so within it a tyre is shorter or longer than at the samples. The

@@ -20,6 +20,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.response.regime import END_NAMES
 from sim.response.response import Response
+from sim.runs.agreement import first_loose
 from sim.studies.validity.map_runs import MapRun, analysed, driven, largest_difference, loaded, shares
 from synth.controller.controller import Controller
 
@@ -41,7 +42,8 @@ class RegimeEnd:
         stays: highest bump in MuJoCo without an end [m]; 0 if every bump had one.
         leaves: lowest bump in MuJoCo with an end [m], or infinity.
         end: first end there, of `REGIME_ENDS`; empty without an end.
-        error: largest difference of the run at `stays` from the analysis, over any signal's peak; 0 if it is not compared.
+        error: largest difference of the run at `stays` from the analysis, over any signal's peak, until a tyre may leave the road
+            within a step; 0 if it is not compared.
     """
 
     predicted: float
@@ -78,7 +80,9 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     for k, (i, road) in enumerate(below.items()):
         end, analysis = ends[i], analysed(vehicle, controllers[i], [road], time).run(0)
         if end is not None and physics is not None:
-            ends[i] = replace(end, error=largest_difference(vehicle, physics.response.run(k), analysis))
+            run = physics.response.run(k)
+            until = first_loose(inputs[k], run)
+            ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
     return ends
 
 
