@@ -46,7 +46,7 @@ SCREEN = {  # command lines, with the vehicles that the suite asks it of, and th
     "synth --check FILE": "quarter_car / quarter_car_accelerometer quarter_car_goals quarter_car_semi_active",
     "sim.sweep --timestep 4e-3": "/ quarter_car quarter_car_semi_active half_car",
     "sim.sweep --controller I --timestep 4e-3 --logs logs": "/ built",
-    "sim.margins --controller CONTROLLER --timestep 8e-3": "/ quarter_car half_car built",
+    "sim.margins --controller CONTROLLER --timestep 4e-3": "/ quarter_car half_car built",
     "sim.envelope --controller CONTROLLER --vary height:0.02:0.4:2 --vary speed:5:20:2 --timestep 4e-3": "full_car built /",
     "sim.report --quick --timestep 4e-3": "/ half_car",
 }
@@ -90,7 +90,7 @@ def built(tmp_path_factory):
 def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsys):
     """Without `-v` every command answers within 24 lines of 80 columns, and its last words are the verdict on each controller.
 
-    For a file of long names, limits and an unstable loop there may be more lines.
+    For a file of long names, limits and an unstable loop there may be more lines, and one more for eleven controllers.
     """
     monkeypatch.chdir(tmp_path)
     line = line.replace("CONTROLLER", ONE.get(car, "I")).replace("FILE", str(ROOT / "models" / f"{car}.toml"))
@@ -100,7 +100,7 @@ def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsy
     main_of(name)([*arguments, *([] if "--check" in arguments else ["--vehicle", vehicle])])
     out = capsys.readouterr().out
     assert too_wide(out) == []
-    assert len(out.splitlines()) <= LINES or car == "built"
+    assert len(out.splitlines()) <= LINES + (car == "quarter_car_semi_active" and "all" in arguments) or car == "built"
     last = prose(out[out.rindex("\n\n") :])
     assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
     if "all" in arguments:

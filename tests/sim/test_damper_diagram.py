@@ -91,5 +91,7 @@ def test_a_report_has_it_where_there_is_something_to_draw(tmp_path):
     assert main([*asked, "--out", str(tmp_path / "report.html"), "--figures", str(tmp_path / "figures")]) == 0
     assert (tmp_path / "figures" / "suspension.png").stat().st_size > 10_000
     page = (tmp_path / "report.html").read_text()
-    assert "MuJoCo agrees with the analysis with its curves" in " ".join(page.split())
+    words = " ".join(page.split())
+    assert "MuJoCo agrees with the vehicle's equations and the control laws" in words
+    assert "The sampled response is that of the analysis with its curves" in words
     assert "What dampers and springs pull with over the bump of 0.1 m" in page

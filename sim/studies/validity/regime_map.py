@@ -183,7 +183,7 @@ def _predicted(
             both = [shares(vehicle, controller, replace(run, values=sign * run.values)) for sign in (1.0, -1.0)]
             used[mine] = np.abs(factors)[:, None] * np.where(factors[:, None] > 0, both[0], both[1])
             times[mine] = scaled_reached(vehicle, run, factors, has_anti_windup(controller))
-            travel[mine] = np.abs(factors) * max(float(run.peak(name)) for name in moves)
+            travel[mine] = np.abs(factors) * max((float(run.peak(name)) for name in moves), default=0.0)
             done += len(mine)
         progress(done)
     if not is_linear(vehicle, controller):
