@@ -17,7 +17,7 @@ from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.linear.dampers import is_linear
-from sim.linear.sampled_response import readings_of_loads
+from sim.linear.sampled_response import forces_ahead, readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
@@ -42,8 +42,14 @@ class ReferenceResponse:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle, self.watched, timestep = runs[0].vehicle, watched, watched.timestep
         vehicles = [run.vehicle for run in runs]
-        heights = np.concatenate([watched.now, watched.beyond]) if len(watched.beyond) else watched.now
-        ahead = _preview_forces(runs, heights, timestep, len(watched.now))
+        ahead = None
+        if any(getattr(run.controller, "preview", None) for run in runs):
+            ahead = np.zeros((len(watched.now), len(runs), len(vehicle.linear_model.inputs)))
+            for i, (run, road) in enumerate(zip(runs, watched.inputs, strict=True)):
+                if isinstance(run.controller, Controller) and run.controller.preview is not None:
+                    ahead[:, i] = forces_ahead(
+                        run.controller.preview, road, steps_per_sample(road.vehicle.implementation, timestep)
+                    )
         loads = watched.held  # an acceleration is measured before a new load acts
         felt = None if loads is None else np.concatenate([np.zeros_like(loads[:1]), loads[:-1]])
         systems = {run.system: run for run in runs}
@@ -123,22 +129,6 @@ def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tup
     of_road = (Gamma_u @ G @ model.jump, C @ model.jump + model.Cr, Gamma_r, np.zeros_like(model.Cr))
     of_loads = (Gamma_l, model.Dh, Gamma_u @ felt, model.D @ felt)
     return Phi + Gamma_u @ G, C, *of_road, *of_loads, Gamma_u @ ahead, model.D @ ahead
-
-
-def _preview_forces(runs: Sequence[PlannedRun], heights: Array, timestep: float, samples: int) -> Array | None:
-    """Returns the forces by which linear controllers answer the road ahead [N], shape (T, N, m), or None if none does.
-
-    Args:
-        heights: road heights from the start to as far beyond the end as controllers look [m], shape (.., N, r).
-    """
-    ahead = [getattr(run.controller, "preview", None) for run in runs]
-    if not any(ahead):
-        return None
-    forces = np.zeros((samples, len(runs), len(runs[0].vehicle.linear_model.inputs)))
-    for i, (one, run) in enumerate(zip(ahead, runs, strict=True)):
-        if one is not None:
-            forces[:, i] = one.forces(heights[:, i], steps_per_sample(run.vehicle.implementation, timestep), timestep, samples)
-    return forces
 
 
 def _row(row: Array, inputs: Array) -> Array:

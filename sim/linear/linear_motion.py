@@ -86,3 +86,12 @@ def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Arr
         if part.force in dampers:
             pulls[:, i] += beyond[:, inputs.index(part.force)] * dampers[part.force].shape(v[:, i])
     return pulls
+
+
+def lag_rates(vehicle: Vehicle) -> Array:
+    """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for one without lag."""
+    inputs = vehicle.linear_model.inputs
+    rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
+    for one in vehicle.adjustable:
+        rates[inputs.index(one.force)] = one.damper.bandwidth or 0.0
+    return rates

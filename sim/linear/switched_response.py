@@ -18,11 +18,10 @@ from models.roads.road import RoadInput
 from models.suspension.damper_range import range_of
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from sim.linear.dampers import damper_signals, stretching
-from sim.linear.linear_motion import LinearMotion, suspension_pulls
+from sim.linear.linear_motion import LinearMotion, lag_rates, suspension_pulls
+from sim.response.recursion import SHARES, WEIGHTS
 from sim.response.response import Response
 from synth.controller.controller import Controller
-
-SHARES, WEIGHTS = (0.5, 0.5, 1.0, 0.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Response:
@@ -39,9 +38,7 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
     law, late = controller.law.sampled(period * h), round(how.delay * period)
     windup = None if law.anti_windup is None else anti_windup_gain(law)
     heights, midway, loads = (np.stack([getattr(one, name) for one in inputs], 1) for name in ("heights", "midway", "held"))
-    rates = np.zeros(m)
-    for one in vehicle.adjustable:
-        rates[forces.index(one.force)] = one.damper.bandwidth or 0.0
+    rates = lag_rates(vehicle)
     dampers = np.isin(forces, list(vehicle.dampers))
     xi, kept = np.zeros((count, len(model.A))), np.zeros((count, law.states))
     acting, command, waiting = np.zeros((count, m)), np.zeros((count, 2 * m)), dict[int, Array]()
@@ -67,11 +64,12 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
         target = command[:, :m]
         acting = np.where(rates > 0, acting, target)
         states[k], given[k], missing[k] = xi, acting, command[:, m:]
-        total, change, at, now = np.zeros_like(xi), np.zeros_like(acting), xi, acting
+        total = rate = np.zeros_like(xi)
+        change = turn = np.zeros_like(acting)
         for share, weight in zip(SHARES, WEIGHTS, strict=True):
+            at, now = xi + share * h * rate, acting + share * h * turn
             rate, turn = motion.rate(at, midway[k], *terms(now), loads[k]), rates * (target - now)
             total, change = total + weight * rate, change + weight * turn
-            at, now = xi + share * h * rate, acting + share * h * turn
         xi, acting = xi + h * total, acting + h * change
     signals = vehicle.kind.signals
     responses = []

@@ -128,12 +128,6 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     )
 
 
-def stage_of(vehicle: Vehicle, measured: Sequence[str], timestep: float) -> int:
-    """Returns the mjtStage of sensors to evaluate before a step for these measurements, or 0 if none is needed."""
-    readout = prepared(vehicle, timestep)[1]
-    return sensed_stage(readout, np.isin(readout.names, measured))
-
-
 def sensed_stage(readout: Readout, used: Array) -> int:
     """Returns the mjtStage of sensors to evaluate before a step for the signals that are used, shape (S,)."""
     return int(max(readout.stage[used & ~readout.linear], default=0))

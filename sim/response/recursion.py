@@ -8,6 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 
 SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
+WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the stages' rates
 
 
 def recursion(Phi: Array, forcing: Array) -> Array:

@@ -16,40 +16,28 @@ from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import roundings
+from sim.linear.sampled_response import forces_ahead, roundings
 from sim.physics.actuators import closing_names
 from sim.physics.computer import driver_of, implementation_around, measurement_noise
 from sim.physics.driver import steps_ahead
 from sim.physics.simulate import Commanded
 from sim.response.response import Response
+from sim.runs.steps import LocalAgreement
 from synth.controller.controller import AnyController, Controller, code_of
 
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
 
 
 @dataclass(frozen=True)
-class CommandAgreement:
+class CommandAgreement(LocalAgreement):
     """Differences of a run's measurements, commands and law states from its control law.
 
     Attributes:
-        error: the difference with the largest ratio to its allowed value, over the peak of the signal.
-        allowed: the allowed value, over that peak.
-        signal: name of that signal, command or state.
-        since: time of the first sample that differs by more than is allowed [s], or infinity.
         repeatable: False if the law gave two answers to the same measurements when it was started again twice. Its commands are
             then not compared.
     """
 
-    error: float
-    allowed: float
-    signal: str
-    since: float
     repeatable: bool = True
-
-    @property
-    def agrees(self) -> bool:
-        """Returns True if every measurement and command is that of the law."""
-        return self.error <= self.allowed
 
 
 Difference = tuple[
@@ -100,7 +88,7 @@ def compare_commands(
         columns.append(seen)
     closing = [commanded.measured[name][due] for name in closing_names(vehicle)]
     y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
-    samples = _Samples(due, period, y, velocities, _states_as_run(controller, commanded.states[due], period * h))
+    samples = _Samples(due, period, y, velocities, commanded.states[due] / controller.state_scale(period * h))
     late = 0 if coded else round(how.delay * period)
     readings = [*_readings(controller, road, physics, commanded, due)]
 
@@ -132,11 +120,6 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
         if np.any(excess > 1):
             since = min(since, float(times[(excess > 1).argmax()]))
     return CommandAgreement(worst.error, worst.allowed, worst.signal, since)
-
-
-def _states_as_run(controller: AnyController, states: Array, period: float) -> Array:
-    """Returns recorded states, which are those of the controller's own law, as those of the law that is run."""
-    return states / controller.state_scale(period)
 
 
 def _readings(
@@ -189,8 +172,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     law, inputs = controller.law.sampled(samples.period * h), vehicle.linear_model.inputs
     forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
     if controller.preview is not None:
-        heights = np.concatenate([road.heights, road.ahead(steps_ahead([vehicle], [controller], h))])
-        ahead = controller.preview.forces(heights, samples.period, h, len(road.time))[samples.due]
+        ahead = forces_ahead(controller.preview, road, samples.period)[samples.due]
         forces, of_forces = forces + ahead, of_forces + np.abs(ahead).max(axis=0, initial=0.0)
     after, of_after = y @ law.B.T + x @ law.A.T, np.abs(y) @ np.abs(law.B).T + np.abs(x) @ np.abs(law.A).T
     slack = EXACT * np.broadcast_to(of_forces.max(axis=0, initial=0.0), forces.shape)

@@ -21,43 +21,51 @@ from models.common.arrays import Array
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
-from sim.linear.linear_motion import LinearMotion, suspension_pulls
+from sim.linear.linear_motion import LinearMotion, lag_rates, suspension_pulls
 from sim.linear.sampled_response import roundings
 from sim.physics.simulate import Commanded
-from sim.response.recursion import SHARES, lag_stages, lagging
+from sim.response.recursion import SHARES, WEIGHTS, lag_stages, lagging
 from sim.response.response import Response
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
-WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 @dataclass(frozen=True)
-class StepAgreement:
-    """Differences of the physics from the vehicle's exact equations over single steps, and at their starts.
+class LocalAgreement:
+    """Result of one of the two local checks.
 
     Attributes:
         error: the difference with the largest ratio to its allowed value, over the signal's peak.
         allowed: the allowed value of that signal, over its peak.
-        signal: name of that signal.
-        since: start of the first step that differs by more than is allowed [s], or infinity.
-        until: steps that begin before this time are compared [s]; infinite for all.
-        lost: True if the equations do not take the state at that time.
+        signal: name of that signal, command or law state.
+        since: time of the first step or sample that differs by more than is allowed [s], or infinity.
     """
 
     error: float
     allowed: float
     signal: str
     since: float
-    until: float
-    lost: bool = False
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every step is that of the equations."""
+        """Returns True if every step or command is right."""
         return self.error <= self.allowed
+
+
+@dataclass(frozen=True)
+class StepAgreement(LocalAgreement):
+    """Differences of the physics from the vehicle's exact equations over single steps, and at their starts.
+
+    Attributes:
+        until: steps that begin before this time are compared [s]; infinite for all.
+        lost: True if the equations do not take the state at that time.
+    """
+
+    until: float
+    lost: bool = False
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
@@ -224,19 +232,10 @@ def _readings(motion: "Motion", starts: _Starts, physics: Response, measured: Ma
     some = [name for name in some if model.D[model.outputs.index(name)].any() or model.Dh[model.outputs.index(name)].any()]
     if not some:
         return {}
-    now, lags = starts.stages[0], _lags(starts.vehicle) > 0
+    now, lags = starts.stages[0], lag_rates(starts.vehicle) > 0
     before, loads = (np.concatenate([np.zeros_like(one[:1]), one[:-1]]) for one in (now, starts.loads))
     shown = _shown(motion, starts, physics, np.where(lags, now, before), loads)
     return {name: shown[name] for name in some if name in shown}
-
-
-def _lags(vehicle: Vehicle) -> Array:
-    """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for one without lag."""
-    inputs = vehicle.linear_model.inputs
-    rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
-    for one in vehicle.adjustable:
-        rates[inputs.index(one.force)] = one.damper.bandwidth or 0.0
-    return rates
 
 
 def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
@@ -248,7 +247,7 @@ def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
 def _given(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each."""
     inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
-    demand, z = commands[: len(physics.time), : len(inputs)], _lags(vehicle) * h
+    demand, z = commands[: len(physics.time), : len(inputs)], lag_rates(vehicle) * h
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     now = lagging(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
     return [np.where(pushing, np.clip(stage, -most, most), stage) for stage in lag_stages(now, z)]
