@@ -33,6 +33,7 @@ def run(command: str) -> "NoReturn":
         import warnings
 
         gc.set_threshold(GARBAGE)
+        sys.unraisablehook = _unraisable
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)  # of numpy: the command says in words what overflows
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
@@ -47,6 +48,16 @@ def run(command: str) -> "NoReturn":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done
     exec("")  # CPython remembers an interrupt inside an `exec`, as of a dataclass, and would end by the signal after all
     sys.exit(code)
+
+
+def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Repeats a Ctrl-C that came while a finaliser ran, as in a garbage collection: Python would only print it."""
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        return sys.__unraisablehook__(unraisable)
+    import _thread
+    import threading
+
+    threading.Timer(0.01, _thread.interrupt_main).start()  # at once, the interrupt would end this hook
 
 
 def _exit_code(command: str, error: BaseException) -> int:

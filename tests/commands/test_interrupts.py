@@ -23,6 +23,7 @@ ENDS = [  # how `main` ends, the exit code, and stderr
     ("raise KeyboardInterrupt('interrupted: 3 runs are kept')", 130, "roadproof: interrupted: 3 runs are kept\n"),
     ("import models.common.command; exec('raise KeyboardInterrupt')", 130, "roadproof: interrupted\n"),  # as in a dataclass
     ("import turned", 130, "roadproof: interrupted\n"),  # compiled modules turn it into an error of their own
+    ("import finalised; finalised.wait()", 130, "roadproof: interrupted\n"),  # while a finaliser runs, where Python forgets it
     ("1 / 0", 1, "roadproof: child fails with an unexpected ZeroDivisionError: division by zero; --traceback shows where\n"),
     ("open('missing')", 1, "roadproof: child fails with an unexpected FileNotFoundError: [Errno 2] No such file or directory: "),
     ("raise BrokenPipeError", 0, ""),
@@ -34,11 +35,24 @@ try:
 except KeyboardInterrupt as interruption:
     raise ImportError("initialization failed") from interruption
 """
+FINALISED = """
+import signal, time
+
+class Finalised:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def wait():
+    Finalised()
+    time.sleep(10)
+    raise AssertionError("the interrupt is lost")
+"""
 
 
 def child(folder: Path, body: str, *options: str) -> tuple[int, str, str]:
     """Runs a command whose `main` has this body; returns its exit code, stdout and stderr."""
     (folder / "turned.py").write_text(TURNED)
+    (folder / "finalised.py").write_text(FINALISED)
     (folder / "child.py").write_text(f"from models.common.errors import InputError\n\ndef main():\n    {body}\n    return 0\n")
     (folder / "start.py").write_text("from models.common.cli import run; run('child')")
     command = [sys.executable, "-m", "start", *options]
