@@ -25,7 +25,7 @@ import models
 import sim
 import synth
 from models.common.command import Parser
-from models.figures.sketch import sketch_svg
+from models.document.sketch import sketch_svg
 from models.kinds import signals
 from models.laws import filter as weights
 from models.laws import semi_active

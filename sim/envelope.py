@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = parser().parse_args(arguments)
-    from models.figures.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, written, written_lines
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
-        from models.figures.picture import write_picture
+        from models.document.picture import write_picture
         from sim.studies.validity.report import envelope_figure
 
         write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)

@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file, or a controller that has no loop to speak of.
     """
     options = parser().parse_args(arguments)
-    from models.figures.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (box,) = robustness(vehicle, [controller], options.timestep, stage, variations)
     stage("picture and logs")
     if options.picture is not None:
-        from models.figures.picture import write_picture
+        from models.document.picture import write_picture
         from sim.studies.stability.figure import margins_figure
 
         write_picture(margins_figure(vehicle, controller, margins[""], built.get(""), fragile, box), options.picture)

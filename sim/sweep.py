@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     import numpy as np
 
-    from models.figures.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
     from sim.linear.nonlinear_elements import at_rest_words
@@ -105,8 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = [describing_function(vehicle, one, *how) for one in lawful]
     stage("picture and logs")
     if options.picture is not None:
-        from models.figures.figure import styles
-        from models.figures.picture import write_picture
+        from models.document.figure import styles
+        from models.document.picture import write_picture
         from sim.studies.frequency.figure import sweep_figure
 
         figure = sweep_figure(vehicle, [one.lines for one in swept], *how, styles(tuple(names)), own)

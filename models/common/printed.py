@@ -4,7 +4,7 @@ The width is fixed, so that output does not depend on the terminal. A longer sen
 table, a name that is too long has its own line. Only paths and lines to copy may be longer, as they must not be broken.
 
 A `Column` has the key, title, digits and unit of one quantity of a result. The same columns give a table on the terminal
-(`column_table`), one on a page (`models.figures.page.Table.of`), and a JSON object (`json_object`).
+(`column_table`), one on a page (`models.document.page.Table.of`), and a JSON object (`json_object`).
 """
 
 import math

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from models.figures.sketch import Sketch, Strut, View
+from models.document.sketch import Sketch, Strut, View
 from models.kinds.kind import Wheel
 from models.kinds.signals import TYRE_DEFLECTION
 from models.vehicle.limits_and_implementation import Implementation

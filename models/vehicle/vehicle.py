@@ -191,7 +191,7 @@ class Vehicle(ShownVehicle):
         return self.kind.model(self.parameters)
 
     def _repr_html_(self) -> str:
-        from models.figures.notebook import gain_curve, gain_panel, notebook_figure
+        from models.document.notebook import gain_curve, gain_panel, notebook_figure
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]

@@ -16,7 +16,7 @@ from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
 from models.common.toml_edit import section_lines
-from models.figures.outputs import CAMPAIGN_SUM
+from models.document.outputs import CAMPAIGN_SUM
 from models.roads.load_choice import setting
 from models.vehicle.in_place import with_sections
 from models.vehicle.names import check_name

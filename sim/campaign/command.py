@@ -12,8 +12,8 @@ from models.common.errors import InputError, listing
 from models.common.files import read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
+from models.document.outputs import check_outputs, written, written_lines
+from models.document.picture import write_picture
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns

@@ -14,7 +14,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import WIDTH, cell, percent, table, wrapped
-from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
+from models.document.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed, PythonLaw
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle

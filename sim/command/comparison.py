@@ -148,7 +148,7 @@ def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str
     """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over"."""
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
-        from models.figures.picture import write_picture
+        from models.document.picture import write_picture
         from sim.runs.time_histories import history_figure
 
         figure = history_figure(runs, where)

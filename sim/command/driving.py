@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.command import chosen_of, complain
 from models.common.errors import InputError
 from models.common.printed import say, titled
-from models.figures.outputs import check_outputs, written, written_lines
+from models.document.outputs import check_outputs, written, written_lines
 from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle

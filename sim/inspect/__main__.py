@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, or a single file that is not a log of Roadproof.
     """
     options = _parser().parse_args(arguments)
-    from models.figures.outputs import check_outputs
+    from models.document.outputs import check_outputs
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
     from sim.inspect.report import proof_lines, proof_object, short_line, write_signals

@@ -16,7 +16,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.common.arrays import Array
-from models.figures.figure import rgb
+from models.document.figure import rgb
 from models.kinds.signals import Signal
 from sim.recording.pages import colour_of
 from sim.recording.run_log import RunLog

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from models.common.arrays import Array
-from models.figures.figure import OTHERS, STYLES, styles, tint
+from models.document.figure import OTHERS, STYLES, styles, tint
 from models.kinds.signals import Signal, is_kept
 from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog, shown
 from sim.response.response import Response

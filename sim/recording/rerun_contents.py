@@ -8,7 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from models.common.arrays import Array
-from models.figures.figure import rgb, tint
+from models.document.figure import rgb, tint
 from sim.recording.pages import Curve, differences, groups, look, plotted
 from sim.recording.run_log import DAMPERS, LOADS, RunLog, shown
 from sim.recording.scene import (
@@ -109,7 +109,7 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
     """Logs a force over its argument as a 2D drawing of 2 by 2 units, y down, as Rerun plots only over time."""
-    from models.figures.axis import Axis  # of dampers and springs with a diagram alone
+    from models.document.axis import Axis  # of dampers and springs with a diagram alone
 
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))

@@ -25,7 +25,7 @@ from sim.command.drive_options import add_road, requested_road, road_text
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
-    from models.figures.page import Page
+    from models.document.page import Page
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
     from sim.report.contents import Report
@@ -54,9 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = _parser().parse_args(arguments)
-    from models.figures.outputs import check_outputs, written, written_lines
-    from models.figures.page import check_page
-    from models.figures.picture import check_drawing
+    from models.document.outputs import check_outputs, written, written_lines
+    from models.document.page import check_page
+    from models.document.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.names import named_files
     from sim.report.worker_processes import WorkerPool, processes
@@ -148,7 +148,7 @@ def _several(
     undesigned: Sequence[str],
 ) -> int:
     """Prints one table of several vehicles; returns the exit code."""
-    from models.figures.outputs import written, written_lines
+    from models.document.outputs import written, written_lines
     from sim.report.contents import report_object
     from sim.studies.ride.standing import standing_lines, standings_object
 
@@ -228,8 +228,8 @@ OF_A_VEHICLE = (
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
-    from models.figures.outputs import check_outputs, written, written_lines
-    from models.figures.picture import check_drawing
+    from models.document.outputs import check_outputs, written, written_lines
+    from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names, read_entry
     from sim.studies.gallery.numbers import compared
@@ -279,7 +279,7 @@ def _about(source: str) -> dict[str, str]:
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
     """Writes a page, with its figures if they are requested: all of it, or nothing."""
     from models.common.files import made_folder, together
-    from models.figures.page import write_page
+    from models.document.page import write_page
 
     out, figures = outputs["report"], outputs["figures"]
     assert out is not None, "every page has a file"
@@ -322,8 +322,8 @@ def _parser() -> Parser:
 def _write_figures(page: "Page", folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
     from models.common.files import whole_file
-    from models.figures.downloads import figure_svg
-    from models.figures.picture import write_picture
+    from models.document.downloads import figure_svg
+    from models.document.picture import write_picture
 
     for part in page.parts:
         texts = {f"{table.name}.csv": table.csv for table in part.tables}

@@ -7,9 +7,9 @@ from itertools import zip_longest
 import numpy as np
 
 from models.common.printed import Column, as_name, cell
-from models.figures.figure import Curve, Figure, Panel
-from models.figures.page import Section, Table
-from models.figures.reading import Pivot
+from models.document.figure import Curve, Figure, Panel
+from models.document.page import Section, Table
+from models.document.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from sim.command.drive_options import end_lines

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from models.figures.page import VERDICTS, Page, Section, Table
+from models.document.page import VERDICTS, Page, Section, Table
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.printed import Column, as_name, cells, titles
-from models.figures.page import Section, Table
+from models.document.page import Section, Table
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle

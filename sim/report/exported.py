@@ -1,7 +1,7 @@
 """The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
 
 from models.common.printed import as_name, cell
-from models.figures.page import Section, Table
+from models.document.page import Section, Table
 from sim.report.headline import Statement
 from sim.report.scope import Exported, Scope
 from sim.runs.report import verdict

@@ -6,7 +6,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import as_name, cell
-from models.figures.page import Section, Table
+from models.document.page import Section, Table
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle

@@ -7,8 +7,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import Column
-from models.figures.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
-from models.figures.page import Page, Section, Table
+from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
+from models.document.page import Page, Section, Table
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber

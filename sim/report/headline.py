@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from models.common.printed import as_name, percent
-from models.figures.page import State
+from models.document.page import State
 from models.roads.road import Bump
 from sim.linear.dampers import is_linear
 from sim.report.scope import Scope, at_most, joined, names_text, percents

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.printed import Column, as_name, cell, cells, titles
-from models.figures.figure import Figure
-from models.figures.page import Section, Table
-from models.figures.reading import Pivot
+from models.document.figure import Figure
+from models.document.page import Section, Table
+from models.document.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from sim.report.headline import Statement, unclaimed_words

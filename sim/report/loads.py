@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.printed import Column, as_name, cell, cells, titles
-from models.figures.figure import Curve, Figure, Panel, thinned
-from models.figures.page import Section, Table
-from models.figures.reading import Pivot
+from models.document.figure import Curve, Figure, Panel, thinned
+from models.document.page import Section, Table
+from models.document.reading import Pivot
 from models.kinds.links import left_out
 from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.printed import Column, as_name
-from models.figures.figure import Curve, Figure, Panel, Style
-from models.figures.page import Section, Table
-from models.figures.reading import Pivot
+from models.document.figure import Curve, Figure, Panel, Style
+from models.document.page import Section, Table
+from models.document.reading import Pivot
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import RoadInput, track_width

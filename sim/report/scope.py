@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from models.common.printed import Column, as_name
-from models.figures.figure import Style, styles
+from models.document.figure import Style, styles
 from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample

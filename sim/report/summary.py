@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.printed import Column, as_name, cell
-from models.figures.figure import Bars, Figure, Panel, styles
-from models.figures.page import Section, Table
+from models.document.figure import Bars, Figure, Panel, styles
+from models.document.page import Section, Table
 from models.vehicle.names import PASSIVE
 from sim.report.best import DIVE, headline, requirements_table
 from sim.report.headline import unclaimed

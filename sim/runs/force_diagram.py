@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Dash
+from models.document.figure import Dash
 from models.kinds.signals import Signal
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import over

@@ -26,7 +26,7 @@ from sim.runs.prediction import Prediction, predicted
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
-    from models.figures.figure import Panel
+    from models.document.figure import Panel
     from sim.physics.driver import RunDriver
 
 
@@ -62,7 +62,7 @@ class ShownRun(Shown):
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 
     def _repr_html_(self) -> str:
-        from models.figures.notebook import notebook_figure
+        from models.document.notebook import notebook_figure
 
         return super()._repr_html_() + self._peaks() + notebook_figure(self._panel())
 
@@ -82,8 +82,8 @@ class ShownRun(Shown):
 
     def _panel(self) -> "Panel":
         """Returns a plot of the signal with the largest weighted peak until the run broke off: MuJoCo red, sampled blue."""
-        from models.figures.figure import Curve, Panel
-        from models.figures.notebook import BLUE, RED
+        from models.document.figure import Curve, Panel
+        from models.document.notebook import BLUE, RED
 
         event, at = self.broke_off or ("", math.inf)
         until = max(at, float(self.physics.time[2]))  # at least two samples

@@ -8,8 +8,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.figures.axis import Axis, axis_of
-from models.figures.figure import Curve, Figure, Panel, Style, styles, thinned
+from models.document.axis import Axis, axis_of
+from models.document.figure import Curve, Figure, Panel, Style, styles, thinned
 from models.kinds.signals import Signal
 from sim.response.response import Response
 from sim.runs.run import Run

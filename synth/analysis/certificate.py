@@ -203,7 +203,7 @@ class Certificate(Shown):
     @property
     def figure(self) -> str:
         """The gain of the closed loop over frequency, with bound and lower bound, as HTML for a notebook."""
-        from models.figures.notebook import gain_curve, gain_panel, notebook_figure
+        from models.document.notebook import gain_curve, gain_panel, notebook_figure
 
         loop, known = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
         omega, gains = gain_curve(loop.A, loop.Bw, loop.C, loop.Dw, loop.dt)

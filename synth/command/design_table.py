@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, on_a_screen, say, table, titled
-from models.figures.outputs import check_outputs, written_lines
+from models.document.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.invariant_point import UNCHANGED, is_pole, without_control
 from synth.analysis.lower_bound import LowerBound
@@ -305,7 +305,7 @@ def _range(gain: float | None, down: float | None, up: float | None) -> tuple[st
 
 def _drawn(vehicle: Vehicle, rows: Sequence[Row], picture: Path) -> bool:
     """Draws the responses of all loops that are stable; returns whether there is one."""
-    from models.figures.picture import write_picture
+    from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
     figure = responses_figure(vehicle, rows)

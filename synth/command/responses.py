@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.figures.figure import Curve, Figure, Panel, Spans, styles
+from models.document.figure import Curve, Figure, Panel, Spans, styles
 from models.laws.goals import NormBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import largest_singular_values

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
+from models.document.outputs import check_outputs, written, written_lines
+from models.document.picture import write_picture
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.controller.report import built_words

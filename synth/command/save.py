@@ -7,7 +7,7 @@ from pathlib import Path
 from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.common.toml_edit import section_lines
-from models.figures.outputs import CHECKED_BY
+from models.document.outputs import CHECKED_BY
 from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.bounding import roomy_proof

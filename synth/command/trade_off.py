@@ -9,8 +9,8 @@ from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import together
 from models.common.printed import Stages, Whole, say, titled, wrapped
-from models.figures.outputs import check_outputs, written, written_lines
-from models.figures.picture import write_picture
+from models.document.outputs import check_outputs, written, written_lines
+from models.document.picture import write_picture
 from models.vehicle.vehicle import Vehicle
 from synth.command.save import check_save, save
 from synth.plant.numerics import DesignError

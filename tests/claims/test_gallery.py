@@ -14,7 +14,7 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.figures.reading import notation
+from models.document.reading import notation
 from models.roads.obstacles import Step
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle

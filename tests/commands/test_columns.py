@@ -3,7 +3,7 @@
 import math
 
 from models.common.printed import Column, cells, column_table, json_object
-from models.figures.page import Table
+from models.document.page import Table
 
 LENGTHS: tuple[Column[float | None], ...] = (
     Column("length [mm]", lambda x: x, ".1f", 1e3, "length"),

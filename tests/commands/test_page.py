@@ -17,11 +17,11 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
-from models.figures.axis import Axis, axis_of
-from models.figures.direct_labels import direct_labels
-from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
-from models.figures.outputs import check_outputs
-from models.figures.page import (
+from models.document.axis import Axis, axis_of
+from models.document.direct_labels import direct_labels
+from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
+from models.document.outputs import check_outputs
+from models.document.page import (
     DARK,
     GRAPHICS,
     LIGHT,
@@ -35,8 +35,8 @@ from models.figures.page import (
     readable,
     render,
 )
-from models.figures.reading import Pivot, aligned, notation, read
-from models.figures.svg import TOLERANCE, about, shade_colors, svg
+from models.document.reading import Pivot, aligned, notation, read
+from models.document.svg import TOLERANCE, about, shade_colors, svg
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
@@ -209,7 +209,7 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
     """With long names, and many, everything that a picture says is inside it, and no number beside a bar lies over a name."""
     from matplotlib.figure import Figure as Canvas
 
-    from models.figures.picture import write_picture
+    from models.document.picture import write_picture
 
     drawn = []
     save = Canvas.savefig
@@ -238,7 +238,7 @@ def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
 def test_the_name_that_is_given_says_what_a_picture_is(name, begins, tmp_path):
     """Through a link of that name, whatever the name of what it leads to."""
     pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
-    from models.figures.picture import write_picture
+    from models.document.picture import write_picture
 
     link = tmp_path / name
     link.symlink_to("other.txt")
@@ -252,8 +252,8 @@ def test_a_picture_needs_no_backend(tmp_path):
     """A picture is drawn whatever MPLBACKEND says, and what it says stays for the rest of the process."""
     pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
     code = (
-        "import os, pathlib, numpy as np\nfrom models.figures.figure import Curve, Figure, Panel\n"
-        "from models.figures.picture import check_drawing, write_picture\ncheck_drawing()\n"
+        "import os, pathlib, numpy as np\nfrom models.document.figure import Curve, Figure, Panel\n"
+        "from models.document.picture import check_drawing, write_picture\ncheck_drawing()\n"
         "one = Curve(np.arange(2.0), np.arange(2.0), 'd', '#000000')\n"
         "write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', (one,)),)), pathlib.Path('a.PNG'))\nprint(os.environ['MPLBACKEND'])"
     )

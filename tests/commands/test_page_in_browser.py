@@ -36,7 +36,7 @@ def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:
 @pytest.mark.attack
 def test_pages_can_be_read(node_modules, tmp_path):
     """Nothing is inaccessible, cut off, drawn over something else, missing on paper, or different without JavaScript."""
-    from models.figures.page import render
+    from models.document.page import render
 
     hard = {name: names for name, names in PAGES.items() if name != "plain"}  # what is read without trouble is the report below
     pages = [tmp_path / f"{name}.html" for name in hard]

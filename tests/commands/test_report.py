@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
-from models.figures.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, level, styles
+from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, level, styles
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
@@ -183,8 +183,8 @@ def test_what_is_old_in_a_folder_is_told(tmp_path, capsys):
 @pytest.mark.attack
 def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
-    from models.figures.page import Page, Section, render
-    from models.figures.picture import write_picture
+    from models.document.page import Page, Section, render
+    from models.document.picture import write_picture
 
     x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
     z = x + y[:, None]
@@ -207,7 +207,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
 
 def test_names_in_any_script_are_drawn_without_a_word(tmp_path, recwarn):
     """A name that the font of pictures has no letters for is no reason to say anything on the terminal."""
-    from models.figures.picture import write_picture
+    from models.document.picture import write_picture
 
     names = ("中文控制器", "n" * 60)
     bars = Panel("bars", "norm", "", (), Bars(names, np.ones(2), ("1", "1"), ("#000000", "#d62728")))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.figures.figure import styles
+from models.document.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump

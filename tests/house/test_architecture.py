@@ -25,25 +25,25 @@ ROOMS = {
     # models: what a vehicle is
     "models.common": "",
     "models": "",
-    "models.figures": "",
+    "models.document": "",
     "models.laws": "",
     "models.kinds": "models.laws",
     "models.suspension": "models.laws",
     "models.full_car": "models.kinds",
     "models.half_car": "models.kinds",
     "models.quarter_car": "models.kinds",
-    "models.vehicle": "models.figures models.kinds models.laws models.suspension",
+    "models.vehicle": "models.document models.kinds models.laws models.suspension",
     "models.roads": "models.kinds models.vehicle",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.plant": "models.laws",
-    "synth.analysis": "models.figures synth.plant",
+    "synth.analysis": "models.document synth.plant",
     "synth.controller": "models models.kinds models.laws models.suspension models.vehicle synth.analysis synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
     "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
-    "synth.vehicle": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "synth.vehicle": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "synth.design synth.lmi synth.plant",
-    "synth.command": "models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
+    "synth.command": "models.document models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
     "synth.plant synth.vehicle",
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
@@ -52,31 +52,31 @@ ROOMS = {
     "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller synth.plant "
     "sim.response",
     "sim.physics": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller sim.response",
-    "sim.runs": "models models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.runs": "models models.document models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.vehicle sim.linear sim.physics sim.response",
-    "sim.recording": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "sim.recording": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.response sim.runs",
-    "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
+    "sim.studies": "models.document models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
-    "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
+    "sim.command": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
     "sim.bump": "models.roads models.vehicle sim.command",
-    "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.campaign": "models.document models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
     "sim.drive": "sim.command",
-    "sim.envelope": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
+    "sim.envelope": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
     "sim.gallery": "sim.studies",
-    "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "sim.inspect": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
-    "sim.margins": "models.figures models.suspension models.vehicle synth.controller synth.vehicle sim.command "
+    "sim.margins": "models.document models.suspension models.vehicle synth.controller synth.vehicle sim.command "
     "sim.linear sim.runs sim.studies",
     "sim.new": "",
-    "sim.report": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
+    "sim.report": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
-    "sim.sweep": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.linear "
+    "sim.sweep": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.linear "
     "sim.runs sim.studies",
     "sim.__main__": "",
 }
@@ -90,10 +90,10 @@ MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 
 # What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
 REACHES = {
-    "synth.analysis": "models.common models.figures synth.plant",
-    "synth.controller": "models.common models.figures models.kinds models.laws models.suspension models.vehicle "
+    "synth.analysis": "models.common models.document synth.plant",
+    "synth.controller": "models.common models.document models.kinds models.laws models.suspension models.vehicle "
     "synth.analysis synth.plant",
-    "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.inspect": "models.common models.document models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
 }
 
@@ -119,9 +119,9 @@ OWNERS = {
     "rerun": {"sim/recording/rerun_writer.py", "sim/recording/rerun_contents.py"},
     "control": {"sim/response/response.py", "synth/vehicle/state_space.py"},
     "pandas": {"sim/response/response.py"},
-    "matplotlib": {"models/figures/picture.py"},
-    "contourpy": {"models/figures/figure.py", "models/figures/page.py"},
-    "jinja2": {"models/figures/page.py"},
+    "matplotlib": {"models/document/picture.py"},
+    "contourpy": {"models/document/figure.py", "models/document/page.py"},
+    "jinja2": {"models/document/page.py"},
     "pyopencrg": {"models/roads/opencrg.py"},
     "cloudpickle": {"models/kinds/kind.py"},
     "filelock": {"sim/campaign/manifest.py"},

@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from models.common.errors import InputError
-from models.figures.figure import styles
+from models.document.figure import styles
 from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle

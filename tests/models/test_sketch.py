@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from models.figures.sketch import sketch_svg
+from models.document.sketch import sketch_svg
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from tests.support.pages import ROOT, hopper

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.figures.figure import styles
+from models.document.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.report.__main__ import main

@@ -10,7 +10,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.printed import percent
-from models.figures.figure import Classes
+from models.document.figure import Classes
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.load import Brake
 from models.roads.loaded import RoadWithLoads

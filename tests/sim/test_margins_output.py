@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.figures.figure import Curve
+from models.document.figure import Curve
 from models.kinds.kind import Variation
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.figures.figure import Spans
+from models.document.figure import Spans
 from models.laws.goals import BOUND_KINDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import gain_at

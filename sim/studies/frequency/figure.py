@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.figures.figure import Curve, Figure, Panel, Style
+from models.document.figure import Curve, Figure, Panel, Style
 from models.roads.spectrum import as_met
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
+from models.document.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge

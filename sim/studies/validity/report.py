@@ -11,7 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
-from models.figures.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel, level
+from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel, level
 from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import first_few
 from models.common.printed import finite, percent, table, wrapped
-from models.figures.figure import Curve, Dash, Figure, Panel
+from models.document.figure import Curve, Dash, Figure, Panel
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import Column, finite, json_object, table, wrapped
-from models.figures.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
+from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import AxisValue, Front, Point

@@ -5,10 +5,10 @@ from urllib.parse import quote
 
 import numpy as np
 
-from models.figures.axis import area_of
-from models.figures.figure import Bars, Classes, Figure, Panel, Shades
-from models.figures.reading import as_csv
-from models.figures.svg import DASHES, HEIGHT, MARKERS, WIDTH, Entry, drawn_text, kept_points, legend, svg
+from models.document.axis import area_of
+from models.document.figure import Bars, Classes, Figure, Panel, Shades
+from models.document.reading import as_csv
+from models.document.svg import DASHES, HEIGHT, MARKERS, WIDTH, Entry, drawn_text, kept_points, legend, svg
 
 FORM = ".5g"  # of the numbers: more than is seen
 LINE, CHAR = 20, 6.6  # height of a line, mean width of a letter [units]

@@ -58,7 +58,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
             if what == "save" and not _is_own(path):
                 raise InputError(f"--save {path} exists and was not written by --save; give another name or remove it")
         if what == "picture":
-            from models.figures.picture import check_drawing
+            from models.document.picture import check_drawing
 
             check_drawing()
         elif what == "figures" and path.is_dir():

@@ -6,8 +6,8 @@ from html import escape
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Curve, Dash, Panel
-from models.figures.svg import svg
+from models.document.figure import Curve, Dash, Panel
+from models.document.svg import svg
 
 POINTS = 400  # of a curve over frequency
 BLUE, RED, GREY, DARK = "#1f77b4", "#d62728", "#888888", "#404040"

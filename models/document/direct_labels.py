@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from models.common.arrays import Array
-from models.figures.figure import Panel
+from models.document.figure import Panel
 
 Interval = tuple[Array, Array]  # the lowest and the highest y in every column
 

@@ -17,11 +17,11 @@ from typing import Any, Literal
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.common.printed import Column, T, cells, titles
-from models.figures.downloads import csv_link, downloads
-from models.figures.figure import Bars, Classes, Figure, Shades, Spans, rgb
-from models.figures.reading import Pivot, Reading, as_csv, notation, read
-from models.figures.sketch import Sketch, sketch_svg, symbol_html
-from models.figures.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
+from models.document.downloads import csv_link, downloads
+from models.document.figure import Bars, Classes, Figure, Shades, Spans, rgb
+from models.document.reading import Pivot, Reading, as_csv, notation, read
+from models.document.sketch import Sketch, sketch_svg, symbol_html
+from models.document.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
@@ -229,7 +229,7 @@ def write_page(page: Page, path: Path) -> None:
 
 
 def _resource(name: str) -> str:
-    return resources.files("models.figures").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("models.document").joinpath(name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:

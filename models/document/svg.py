@@ -18,9 +18,9 @@ from html import escape
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
-from models.figures.direct_labels import direct_labels
-from models.figures.figure import Bars, Classes, Curve, Dash, Figure, Marker, Panel, Shades, Spans, bands
+from models.document.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
+from models.document.direct_labels import direct_labels
+from models.document.figure import Bars, Classes, Curve, Dash, Figure, Marker, Panel, Shades, Spans, bands
 
 LONG = 16  # letters; a line may break within longer names
 OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"

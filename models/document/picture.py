@@ -11,11 +11,11 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.files import whole_file
-from models.figures.axis import Axis
-from models.figures.direct_labels import direct_labels
-from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
-from models.figures.reading import notation
-from models.figures.svg import Entry, legend, quoted_code
+from models.document.axis import Axis
+from models.document.direct_labels import direct_labels
+from models.document.figure import Bars, Classes, Figure, Panel, Shades, Spans
+from models.document.reading import notation
+from models.document.svg import Entry, legend, quoted_code
 
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Bars, Classes, Panel, Shades
+from models.document.figure import Bars, Classes, Panel, Shades
 
 ROOM = 0.04  # margin at both ends without given limits, as a share of the range
 NICE = (1.0, 2.0, 2.5, 5.0, 10.0)  # steps between ticks, times a power of ten

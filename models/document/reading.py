@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import count
 from string import ascii_lowercase
 
-from models.figures.axis import SUPERSCRIPT
+from models.document.axis import SUPERSCRIPT
 
 NUMBER = re.compile(r"([+-]?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?( %)?")
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
