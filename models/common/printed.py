@@ -2,9 +2,6 @@
 
 The width is fixed, so that output does not depend on the terminal. A longer sentence continues in the next line, indented; in a
 table, a name that is too long has its own line. Only paths and lines to copy may be longer, as they must not be broken.
-
-A `Column` has the key, title, digits and unit of one quantity of a result. The same columns give a table on the terminal
-(`column_table`), one on a page (`models.document.page.Table.of`), and a JSON object (`json_object`).
 """
 
 import math
@@ -13,15 +10,11 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from models.common.errors import InputError, listing
-
-T = TypeVar("T")
-Of = TypeVar("Of", contravariant=True)
 
 
 def finite(value: Any) -> float | None:
@@ -270,55 +263,3 @@ class Shown:
     def _repr_html_(self) -> str:
         title, rows = self.shown
         return html_table(title, rows.items())
-
-
-@dataclass(frozen=True)
-class Column(Generic[Of]):
-    """A quantity of a result.
-
-    Attributes:
-        title: heading in a table.
-        value: function of a result: a text, or a number in SI units.
-        form: format in a table, or a function that formats the number.
-        scale: factor from SI units to those of a table.
-        key: key in JSON, for the value in SI units; empty to omit the column.
-    """
-
-    title: str
-    value: Callable[[Of], Any]
-    form: str | Callable[[float], str] = ""
-    scale: float = 1.0
-    key: str = ""
-
-    def cell(self, one: Of) -> str:
-        """Returns the text in a table; "-" for an absent number, or an infinite one if `form` is a format."""
-        value = self.value(one)
-        if isinstance(value, str) or value is None:
-            return "-" if value is None else value
-        value = self.scale * value
-        return cell(value, self.form) if isinstance(self.form, str) else self.form(value)
-
-    def of(self, get: Callable[[T], Of], title: str = "") -> "Column[T]":
-        """Returns the column for objects from which `get` returns the result, under another title if one is given."""
-        return Column(title or self.title, lambda one: self.value(get(one)), self.form, self.scale, self.key)
-
-
-def titles(columns: Iterable[Column[Any]]) -> tuple[str, ...]:
-    """Returns the titles of the columns."""
-    return tuple(column.title for column in columns)
-
-
-def cells(columns: Sequence[Column[T]], ones: Iterable[T]) -> tuple[tuple[str, ...], ...]:
-    """Returns the rows of a table, one per result."""
-    return tuple(tuple(column.cell(one) for column in columns) for one in ones)
-
-
-def column_table(columns: Sequence[Column[T]], ones: Iterable[T]) -> list[str]:
-    """Returns the lines of a table for the terminal, a row per result."""
-    return table([titles(columns), *cells(columns, ones)])
-
-
-def json_object(columns: Iterable[Column[T]], one: T) -> dict[str, Any]:
-    """Returns a result for JSON, with None for infinite or absent numbers."""
-    values = ((column.key, column.value(one)) for column in columns if column.key)
-    return {key: finite(value) if isinstance(value, float) else value for key, value in values}

@@ -8,25 +8,24 @@ import base64
 import colorsys
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import whole_file
-from models.common.printed import Column, T, cells, titles
+from models.document.document import Block, Document, State, Statement, worst
 from models.document.downloads import csv_link, downloads
 from models.document.figure import Bars, Classes, Figure, Shades, Spans, rgb
-from models.document.reading import Pivot, Reading, as_csv, notation, read
+from models.document.reading import notation
 from models.document.sketch import Sketch, sketch_svg, symbol_html
 from models.document.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
 MANY = 4  # panels that are shown in two columns
-BRIEF = 2  # paragraphs of a section that are shown; the others are folded
+BRIEF = 2  # statements before the first figure or table that are shown; others that claim nothing are folded
 
 
 def luminance(color: str) -> float:
@@ -55,88 +54,12 @@ def _mixed(color: str, other: str, share: float) -> str:
 
 
 LIGHT, DARK = "#ffffff", "#16181b"  # backgrounds of figures, as in page.css
-VERDICTS = {
+VERDICTS: dict[State, str] = {
     "holds": "MuJoCo agrees, and every claim holds throughout",
     "ends": "no check fails, but not every claim holds throughout",
     "fails": "something FAILS",
 }
-MARKS = {"holds": "✓", "ends": "!", "fails": "✗"}  # so that a state is not told by its colour alone
-
-State = Literal["holds", "ends", "fails"]
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table.
-
-    Attributes:
-        name: name of its CSV file, without suffix.
-        caption: description of the table's content.
-        headings: headings of the columns.
-        rows: cells as text; the first is the row's name.
-        words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
-        pivot: short form for reading, or None to show all columns that differ.
-        aside: True if the page folds it, however short it is.
-    """
-
-    name: str
-    caption: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1
-    pivot: Pivot | None = None
-    aside: bool = False
-
-    def __post_init__(self) -> None:
-        if len(set(self.headings)) < len(self.headings):
-            raise ValueError(f"headings of table {self.name!r} are not distinct: {', '.join(self.headings)}")
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        caption: str,
-        columns: Sequence[Column[T]],
-        ones: Iterable[T],
-        words: int = 1,
-        pivot: Pivot | None = None,
-        aside: bool = False,
-    ) -> "Table":
-        """Returns the table of some results, a row each."""
-        return cls(name, caption, titles(columns), cells(columns, ones), words, pivot, aside)
-
-    @property
-    def reading(self) -> Reading:
-        """Returns the table as a page shows it first."""
-        return read(self.headings, self.rows, self.words, self.pivot)
-
-    @property
-    def whole(self) -> Reading | None:
-        """Returns the whole table as a page shows it below the short form, or None if that is all."""
-        return read(self.headings, self.rows, self.words) if self.pivot is not None else None
-
-    @property
-    def csv(self) -> str:
-        """Returns the table as CSV."""
-        return as_csv(self.headings, self.rows)
-
-
-@dataclass(frozen=True, eq=False)
-class Section:
-    """Part of the page: a title, text, tables and figures.
-
-    Attributes:
-        title: the reader's question.
-        term: the field's term for it.
-        text: paragraphs.
-        tables, figures: content below the text.
-    """
-
-    title: str
-    term: str
-    text: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
-    figures: tuple[Figure, ...] = ()
+MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # so that a state is not told by its colour alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,30 +68,37 @@ class Page:
 
     Attributes:
         title: title of the page.
-        answer: the result, one entry per sentence.
-        summary: the first section, figures and tables, without a title.
+        answer: statements on what is claimed, and how it was checked; those that do not hold throughout are shown first.
+        summary: the first part: figures and tables, without a title.
         sections: the others, in order.
-        state: verdict on physics against analysis: green if all holds, amber if something ended early, red if something fails.
         headline: the answer in a line.
         lead: a sentence for each controller that is best at something, with its cost.
-        warnings: sentences of the answer that do not hold throughout.
         verdict: the state in words; empty for those of a report on a vehicle file.
         sketch: sketch of the vehicle at the top, or None.
     """
 
     title: str
-    answer: tuple[str, ...]
-    summary: Section
-    sections: tuple[Section, ...]
-    state: State = "holds"
+    answer: tuple[Statement, ...]
+    summary: Document
+    sections: tuple[Document, ...]
     headline: str = ""
     lead: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
     verdict: str = ""
     sketch: Sketch | None = None
 
     @property
-    def parts(self) -> tuple[Section, ...]:
+    def state(self) -> State:
+        """Returns the verdict on physics against analysis: whether all holds, something ends early, or something fails."""
+        state = worst(self.answer)
+        return "holds" if state == "note" else state
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Returns the statements that do not hold throughout."""
+        return tuple(one.text for one in self.answer if one.state in ("ends", "fails"))
+
+    @property
+    def parts(self) -> tuple[Document, ...]:
         """The summary and all sections."""
         return (self.summary, *self.sections)
 
@@ -191,8 +121,9 @@ def render(page: Page) -> str:
     )
     return environment.from_string(_resource("page.html.jinja")).render(
         notation=notation,
-        brief=BRIEF,
         page=page,
+        kind=_kind,
+        leading=_leading,
         verdict=page.verdict or VERDICTS[page.state],
         mark=MARKS[page.state],
         style=_resource("page.css") + _colors(page),
@@ -216,6 +147,18 @@ def _said(value: Any) -> Any:
     from markupsafe import Markup
 
     return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _kind(block: Block) -> str:
+    """Returns the name of a block's class, in small letters."""
+    return type(block).__name__.lower()
+
+
+def _leading(section: Document) -> tuple[list[Statement], list[Statement]]:
+    """Returns the statements of a section that are shown, and those that are folded."""
+    texts = [block for block in section.blocks if isinstance(block, Statement)]
+    shown = [one for i, one in enumerate(texts) if one.state != "note" or (i < BRIEF and one.detail != "full")]
+    return shown, [one for one in texts if one not in shown]
 
 
 def write_page(page: Page, path: Path) -> None:

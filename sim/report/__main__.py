@@ -99,7 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = [*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared]
         if not options.brief:
             # What percentages are of, the table says.
-            said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", page.verdict])
+            room, texts = [*lines, "", "", page.verdict], [one.text for one in page.answer]
+            said = texts if options.verbose else some_sentences(page.lead[:-1], room)
             lines += ["", *said, *([""] if said else []), page.verdict]
         say(lines)
     return 1 if undesigned else 0

@@ -6,9 +6,10 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.common.printed import Column, as_name, cell
+from models.common.printed import as_name, cell
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
-from models.document.page import Section, Table
 from models.document.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
@@ -60,7 +61,7 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
-def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
+def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Document:
     """The paper's Fig. 4, and the peaks in it."""
     vehicle = scope.vehicle
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
@@ -74,17 +75,17 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"{lines_text(panels, lines, all(_bounded(scope, run) for run in runs))} at {1e3 * scope.timestep:g} ms"
     )
     figure = Figure("bump", title, tuple(panels), columns=2 if len(panels) <= 4 else 3, finding=_least_peak(scope, runs))
-    columns: tuple[Column[tuple[str, Run]], ...] = (
-        Column("signal", lambda of: of[0].replace("_", " ")),
-        Column("unit", lambda of: vehicle.kind.signal(of[0]).unit),
-        Column("controller", lambda of: of[1].controller.name),
-        Column("linear until [s]", lambda of: min(of[1].agreement.until, *of[1].agreement.ended.values(), BUMP_DURATION), ".4g"),
-        Column("peak, MuJoCo", lambda of: of[1].physics.peak(of[0]), ".5g"),
-        Column("peak, sampled", lambda of: of[1].sampled.peak(of[0]), ".5g"),
-        Column("peak, continuous", lambda of: of[1].continuous.peak(of[0]), ".5g"),
-        Column("rms, MuJoCo", lambda of: of[1].physics.rms(of[0]), ".5g"),
-        Column("rms, sampled", lambda of: of[1].sampled.rms(of[0]), ".5g"),
-        Column("rms, continuous", lambda of: of[1].continuous.rms(of[0]), ".5g"),
+    columns: tuple[Field[tuple[str, Run]], ...] = (
+        Field("signal", lambda of: of[0].replace("_", " ")),
+        Field("unit", lambda of: vehicle.kind.signal(of[0]).unit),
+        Field("controller", lambda of: of[1].controller.name),
+        Field("linear until [s]", lambda of: min(of[1].agreement.until, *of[1].agreement.ended.values(), BUMP_DURATION), ".4g"),
+        Field("peak, MuJoCo", lambda of: of[1].physics.peak(of[0]), ".5g"),
+        Field("peak, sampled", lambda of: of[1].sampled.peak(of[0]), ".5g"),
+        Field("peak, continuous", lambda of: of[1].continuous.peak(of[0]), ".5g"),
+        Field("rms, MuJoCo", lambda of: of[1].physics.rms(of[0]), ".5g"),
+        Field("rms, sampled", lambda of: of[1].sampled.rms(of[0]), ".5g"),
+        Field("rms, continuous", lambda of: of[1].continuous.rms(of[0]), ".5g"),
     )
     caption = "Peaks over the bump in MuJoCo; below, and in the file, peaks of both linear responses, and all rms values."
     pivot = Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",))
@@ -100,32 +101,31 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     )
     diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
     figures = (figure,) if diagram is None else (figure, diagram)
-    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts_of(runs)), (table,), figures)
+    return Document("Response to the paper's bump", (*notes(about), *verdicts_of(runs), *figures, table))
 
 
-def verdicts_of(runs: Sequence[Run]) -> tuple[str, ...]:
+def verdicts_of(runs: Sequence[Run]) -> tuple[Statement, ...]:
     """Returns a sentence on the agreement of each run."""
-    return tuple(f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run))
+    return notes(*(f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run)))
 
 
-def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Section:
+def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
     """Returns the section on the road of the report: its signals over time, and its metrics, measured when."""
     drawn = history_figure(runs, scope.road_name), suspension_figure(scope, runs, f"over {scope.road_name}")
     figures = tuple(one for one in drawn if one is not None)
     pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
-    columns: tuple[Column[tuple[Run, str, MetricComparison]], ...] = (
-        Column("metric", lambda of: of[1].replace("_", " ")),
+    columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
+        Field("metric", lambda of: of[1].replace("_", " ")),
         METRIC[0].of(lambda of: of[2]),
-        Column("controller", lambda of: of[0].controller.name),
+        Field("controller", lambda of: of[0].controller.name),
         *(column.of(lambda of: of[2]) for column in METRIC[1:]),
     )
     caption = "Every metric in MuJoCo; below, and in the file, in the sampled response, and the mean over all such roads."
     table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
     about = f"The runs take {scope.duration:g} s at {1e3 * scope.timestep:g} ms; metrics are measured {when}."
     about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
-    return Section(
-        "What happens over the road?", scope.road.words, (f"{about.removesuffix('.')}.", *verdicts_of(runs)), (table,), figures
-    )
+    about = f"{scope.road.words}. {about.removesuffix('.')}."
+    return Document("Response to the road", (*notes(f"{about[0].upper()}{about[1:]}"), *verdicts_of(runs), *figures, table))
 
 
 def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
@@ -144,7 +144,7 @@ def _bounded(scope: Scope, run: Run) -> bool:
     return not scope.unstable(run.controller) and run.broke_off is None
 
 
-def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
+def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     rows, kinds = [], set()
     for run, fine in zip_longest(runs, finer):
@@ -206,20 +206,20 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     caption = "Distance of MuJoCo from the sampled response, relative to each peak; below, its allowed value or cause, and order."
     pivot = Pivot(("signal",), "controller", ("to sampled",))
     tables = (Table("agreement", caption, headings, tuple(rows), words=2, pivot=pivot), energy_table(runs, scope.where))
-    return Section("Do the runs agree?", "agreement, distance from linear analysis, energy", tuple(text), tables)
+    return Document("Agreement with linear analysis", (*notes(*text), *tables))
 
 
 def energy_table(runs: Sequence[Run], where: str) -> Table:
     """Returns the table of every run's energy balance."""
-    columns: tuple[Column[tuple[str, Energy]], ...] = (
-        Column("controller", lambda of: of[0]),
-        Column("road [J]", lambda of: of[1].road, "{:.5g}".format),
-        Column("actuators [J]", lambda of: of[1].actuators, "{:.5g}".format),
-        Column("stored [J]", lambda of: of[1].stored, "{:.5g}".format),
-        Column("dissipated [J]", lambda of: of[1].dissipated, "{:.5g}".format),
-        Column("turned over [J]", lambda of: of[1].turnover, "{:.5g}".format),
-        Column("left over", lambda of: of[1].residual, "{:.1e}".format),
-        Column("allowed", lambda of: of[1].allowed, "{:.1e}".format),
+    columns: tuple[Field[tuple[str, Energy]], ...] = (
+        Field("controller", lambda of: of[0]),
+        Field("road [J]", lambda of: of[1].road, "{:.5g}".format),
+        Field("actuators [J]", lambda of: of[1].actuators, "{:.5g}".format),
+        Field("stored [J]", lambda of: of[1].stored, "{:.5g}".format),
+        Field("dissipated [J]", lambda of: of[1].dissipated, "{:.5g}".format),
+        Field("turned over [J]", lambda of: of[1].turnover, "{:.5g}".format),
+        Field("left over", lambda of: of[1].residual, "{:.1e}".format),
+        Field("allowed", lambda of: of[1].allowed, "{:.1e}".format),
     )
     energies = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     caption = f"Energy of every run over {where}: its sources, and where it went."

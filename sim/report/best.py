@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.printed import as_name
-from models.document.page import Table
+from models.document.document import Table
 from models.document.reading import Pivot
 from models.roads.load_choice import choose_load
 from models.roads.road import RoadInput

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from models.document.page import VERDICTS, Page, Section, Table
+from models.document.document import Document, Statement, Table
+from models.document.page import VERDICTS, Page
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
@@ -17,7 +18,6 @@ from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section, road_section
 from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, frequency_section, paper_section
-from sim.report.headline import Statement
 from sim.report.limits import map_of, margins_section, regime_section, validity_section
 from sim.report.loads import loads_section, workshop_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
@@ -119,22 +119,18 @@ def report(
             answer += findings
     sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
-    texts = tuple(one.text for one in answer)
     where, dive = compared_on(scope, compared, bool(rides), when), dives(scope)
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     whole = Page(
         titled(vehicle, scope.stem, scope.driven),
-        texts,
+        tuple(answer),
         first_screen(scope, runs, compared, dive, where),
         tuple(sections),
-        report_answer.worst(answer),
         headline(compared),
         tuple(lead(compared, dive, norms, where)),
-        tuple(one.text for one in answer if one.state != "holds"),
-        VERDICTS[report_answer.worst(answer)].replace("the paper's bump", scope.where),
         sketch=vehicle_sketch(vehicle),
     )
-    return Report(whole, compared, where)
+    return Report(replace(whole, verdict=VERDICTS[whole.state].replace("the paper's bump", scope.where)), compared, where)
 
 
 def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bool = False) -> tuple[str, ...]:
@@ -183,8 +179,8 @@ class Frequencies:
     """
 
     findings: list[Statement]
-    section: Section | None
-    workshop: Section | None
+    section: Document | None
+    workshop: Document | None
 
 
 def _frequencies(scope: Scope) -> Frequencies:
@@ -206,7 +202,7 @@ def _frequencies(scope: Scope) -> Frequencies:
     )
 
 
-def _margins(scope: Scope) -> tuple[Section, list[Statement]]:
+def _margins(scope: Scope) -> tuple[Document, list[Statement]]:
     """Returns the section on margins, for the vehicle at rest."""
     return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 
@@ -239,7 +235,7 @@ def _compared(
     return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
 
 
-def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
+def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
@@ -279,7 +275,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
         Table("provenance", "What this page was made from, and how.", ("what", "value"), tuple(rows.items()), words=2),
         Table("vehicle", caption, ("parameter [SI]", "value"), tuple(settings)),
     )
-    return Section("Where does this page come from?", "provenance and settings", (), tables)
+    return Document("Provenance and settings", tables)
 
 
 def report_object(report: Report) -> dict[str, Any]:
@@ -294,7 +290,7 @@ def report_object(report: Report) -> dict[str, Any]:
         "title": page.title,
         "headline": page.headline,
         "lead": page.lead,
-        "answer": page.answer,
+        "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": tables,
     }

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.printed import Column, as_name, cells, titles
-from models.document.page import Section, Table
+from models.common.printed import as_name
+from models.document.document import Document, Table, notes
+from models.document.field import Field, cells, titles
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
@@ -37,9 +38,9 @@ from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, our
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
 
-def design_section(scope: Scope) -> Section:
+def design_section(scope: Scope) -> Document:
     """Every controller: gain, certificate, and how good that is."""
-    proved = (BOUND, NORM, replace(PEAK, title="peak [Hz]", scale=1 / (2 * np.pi)), LOWER_BOUND, GAP, SLOWEST_POLE)
+    proved = (BOUND, NORM, replace(PEAK, label="peak", unit="Hz", scale=1 / (2 * np.pi)), LOWER_BOUND, GAP, SLOWEST_POLE)
     headings = ("controller", "measures", *titles(proved)[:-1], "slowest pole [1/s]", "certificate")
     rows = []
     for one in scope.controllers:
@@ -80,12 +81,12 @@ def design_section(scope: Scope) -> Section:
                 else "-"
             )
 
-        columns: tuple[Column[Controller], ...] = (
+        columns: tuple[Field[Controller], ...] = (
             NAME,
             NORM.of(lambda one: one.certificate, "norm, ideal loop"),
-            Column("norm, as built", lambda one: scope.built_norms[one.name].value, digits),
-            Column("that is", above),
-            Column("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
+            Field("norm, as built", lambda one: scope.built_norms[one.name].value, digits),
+            Field("that is", above),
+            Field("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
         )
         caption = (
             f"The norm of the ideal loop, and of the loop as built{scope.noise_qualifier}, with what a road reaches of that."
@@ -105,7 +106,7 @@ def design_section(scope: Scope) -> Section:
             "its value where that is exact; what is minimised has nothing that it may be at most.",
         )
     tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
-    return Section("How good are the controllers, and is it proved?", "designs, gains, certificates", text, tuple(tables))
+    return Document("Designs and certificates", (*notes(*text), *tables))
 
 
 def _known(scope: Scope) -> str:
@@ -117,14 +118,14 @@ def _known(scope: Scope) -> str:
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
     """Returns the table of controllers' goals, with the numbers of `python -m synth`, or None without goals."""
-    columns: tuple[Column[tuple[str, Specification]], ...] = (
-        Column("controller", lambda of: of[0]),
-        Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
-        Column("unit", lambda of: of[1].unit or "-"),
-        Column("value", lambda of: of[1].value, digits),
-        Column("proved to be at most", lambda of: of[1].proved_text),
-        Column("allowed", lambda of: of[1].at_most, digits),
-        Column("kept", lambda of: "yes" if of[1].holds else "NO"),
+    columns: tuple[Field[tuple[str, Specification]], ...] = (
+        Field("controller", lambda of: of[0]),
+        Field("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
+        Field("unit", lambda of: of[1].unit or "-"),
+        Field("value", lambda of: of[1].value, digits),
+        Field("proved to be at most", lambda of: of[1].proved_text),
+        Field("allowed", lambda of: of[1].at_most, digits),
+        Field("kept", lambda of: "yes" if of[1].holds else "NO"),
     )
     promises = [(one.name, promise) for one in controllers for promise in one.specifications]
     caption = "What controllers keep of the goals that the vehicle file has for them."
@@ -180,7 +181,7 @@ def per_unit(unit: str, other: str) -> str:
 
 def frequency_section(
     scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float, own: Sequence[DescribingFunction]
-) -> Section:
+) -> Document:
     """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps.
 
     Args:
@@ -190,11 +191,11 @@ def frequency_section(
     """
     drawn = sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own)
     figure = replace(drawn, name="frequency-responses")
-    columns: tuple[Column[Lines], ...] = (
-        Column("controller", lambda one: one.controller.name),
-        Column("error to sampled", lambda one: one.error(one.sampled).max(), "{:.1e}".format),
-        Column("to continuous", lambda one: one.error(one.continuous).max(), "{:.1e}".format),
-        Column("order of the two", lambda one: one.order, ".2f"),
+    columns: tuple[Field[Lines], ...] = (
+        Field("controller", lambda one: one.controller.name),
+        Field("error to sampled", lambda one: one.error(one.sampled).max(), "{:.1e}".format),
+        Field("to continuous", lambda one: one.error(one.continuous).max(), "{:.1e}".format),
+        Field("order of the two", lambda one: one.order, ".2f"),
     )
     caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
     tables = [Table.of("frequency-responses", caption, columns, lines)]
@@ -224,14 +225,14 @@ def frequency_section(
             )
         if len(scope.vehicle.kind.wheels) > 1:
             text.append("Here all wheels meet one road; the norm of the designs is that of any roads under any wheels.")
-        gains: tuple[Column[Sweep], ...] = (
-            Column("controller", lambda one: one.lines.controller.name),
-            Column("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
-            Column("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
-            Column("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
-            Column("bump", lambda one: one.gains.get("bump"), "{:.4g}".format),
-            Column("chirp", lambda one: one.gains.get("chirp"), "{:.4g}".format),
-            Column("random", lambda one: one.gains.get("random"), "{:.4g}".format),
+        gains: tuple[Field[Sweep], ...] = (
+            Field("controller", lambda one: one.lines.controller.name),
+            Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
+            Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
+            Field("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
+            Field("bump", lambda one: one.gains.get("bump"), "{:.4g}".format),
+            Field("chirp", lambda one: one.gains.get("chirp"), "{:.4g}".format),
+            Field("random", lambda one: one.gains.get("random"), "{:.4g}".format),
         )
         caption = "How much a road is amplified in MuJoCo: the worst sinusoid, beside the held-road norm, and other roads."
         tables.append(Table.of("gains", caption, gains, sweeps))
@@ -247,10 +248,10 @@ def frequency_section(
             "outside it."
         )
         fundamental, at, outside, outside_at = MOVING
-        moving: tuple[Column[tuple[str, Moving]], ...] = (
-            Column("controller", lambda of: of[0]),
-            Column("signal", lambda of: of[1].name.replace("_", " ")),
-            Column("unit", lambda of: f"{of[1].unit} per m/s"),
+        moving: tuple[Field[tuple[str, Moving]], ...] = (
+            Field("controller", lambda of: of[0]),
+            Field("signal", lambda of: of[1].name.replace("_", " ")),
+            Field("unit", lambda of: f"{of[1].unit} per m/s"),
             fundamental.of(lambda of: of[1], "fundamental"),
             at.of(lambda of: of[1], "at [Hz]"),
             outside.of(lambda of: of[1]),
@@ -258,11 +259,10 @@ def frequency_section(
         )
         signals = [(one.controller.name, signal) for one in own for signal in one.moving]
         tables.append(Table.of("describing-functions", caption, moving, signals, words=3))
-    title = "Which shaking is damped, and which is not?"
-    return Section(title, "frequency responses and the norm, measured", tuple(text), tuple(tables), (figure,))
+    return Document("Frequency response", (*notes(*text), figure, *tables))
 
 
-def paper_section(scope: Scope) -> Section:
+def paper_section(scope: Scope) -> Document:
     """Does it reproduce the paper?"""
     values = ours(scope.designer)
     rows = []
@@ -289,36 +289,36 @@ def paper_section(scope: Scope) -> Section:
     if not scope.quick:
         scope.progress("a genetic algorithm")
         tables.append(other_ways(scope.designer))
-    return Section("Does it reproduce the paper?", "every printed number, and ours", text, tuple(tables))
+    return Document("Numbers of the paper", (*notes(*text), *tables))
 
 
 def without_l(designer: Designer) -> Table:
     """Remark 4: what becomes of L = 0."""
-    columns: tuple[Column[WithoutL], ...] = (
-        Column("controller", lambda one: f"{one.controller}, states {one.states}"),
-        Column("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
-        Column("bound", lambda one: "none" if one.bound is None else one.bound, ".5g"),
-        Column("state feedback", lambda one: one.best, ".5g"),
+    columns: tuple[Field[WithoutL], ...] = (
+        Field("controller", lambda one: f"{one.controller}, states {one.states}"),
+        Field("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
+        Field("bound", lambda one: "none" if one.bound is None else one.bound, ".5g"),
+        Field("state feedback", lambda one: one.best, ".5g"),
     )
     caption = (
         "Remark 4: controllers by (25) with L = 0, in one step. With the states (30) there are none. With the car's absolute "
         "motion as states, as in [33], and the road's height as w, (25) has a solution for I, whose gain grows without bound as "
         "the optimum is approached, and none for II."
     )
-    return Table.of("without-l", caption, columns, remark_4(designer), aside=True)
+    return Table.of("without-l", caption, columns, remark_4(designer), detail="full")
 
 
 def other_ways(designer: Designer) -> Table:
     """Remark 5: the two steps beside a genetic algorithm."""
-    columns: tuple[Column[Way], ...] = (
-        Column("controller", lambda one: f"{one.controller}, {one.how}"),
-        Column("work", lambda one: one.work),
-        Column("gain", lambda one: gain_text(one.gain)),
-        Column("norm", lambda one: one.norm, ".6f"),
-        Column("processor time [s]", lambda one: one.seconds, ".2f"),
+    columns: tuple[Field[Way], ...] = (
+        Field("controller", lambda one: f"{one.controller}, {one.how}"),
+        Field("work", lambda one: one.work),
+        Field("gain", lambda one: gain_text(one.gain)),
+        Field("norm", lambda one: one.norm, ".6f"),
+        Field("processor time [s]", lambda one: one.seconds, ".2f"),
     )
     caption = (
         "Remark 5: the two steps beside a genetic algorithm (differential evolution on the norm itself, every entry of the gain "
         f"from {-BOX:g} to {BOX:g}, seed {SEED}). The times are of one run on the machine that made this page."
     )
-    return Table.of("other-ways", caption, columns, remark_5(designer), words=2, aside=True)
+    return Table.of("other-ways", caption, columns, remark_5(designer), words=2, detail="full")

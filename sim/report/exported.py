@@ -1,17 +1,16 @@
 """The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
 
 from models.common.printed import as_name, cell
-from models.document.page import Section, Table
-from sim.report.headline import Statement
+from models.document.document import Document, Statement, Table, notes
 from sim.report.scope import Exported, Scope
 from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import code_of
 
-TITLE, TERM = "What was exported?", "code, and what its numbers change"
+TITLE = "Exported code"
 
 
-def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
+def exported_section(scope: Scope) -> tuple[Document, list[Statement]]:
     """Returns the section on the folder of a report, and the sentences of the answer on it."""
     exported = scope.exported
     assert exported is not None, "a folder was given"
@@ -26,7 +25,7 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
         f"Exported code of {as_name(driver.name)}, in {numbers}, over {scope.where}: {said}.",
         "holds" if run.passed else "fails",
     )
-    return Section(TITLE, TERM, tuple(text), (_facts(exported), _changes(run))), [finding]
+    return Document(TITLE, (*notes(*text), _facts(exported), _changes(run))), [finding]
 
 
 def _facts(exported: Exported) -> Table:

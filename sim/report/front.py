@@ -6,7 +6,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import as_name, cell
-from models.document.page import Section, Table
+from models.document.document import Document, Table, notes
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle
@@ -31,8 +31,7 @@ from synth.vehicle.trade_off.report import front_figure, sentences
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
 TURN = 0.005  # rad of the sinusoid in a step
 NEXT = 1e-3  # relative: how near it has to come
-TITLE = "What does the one cost of the other?"
-TERM = "a trade-off: designs of which none beats another in all"
+TITLE = "Trade-off between objectives"
 
 
 def check_front(vehicle: Vehicle, text: str) -> None:
@@ -45,7 +44,7 @@ def check_front(vehicle: Vehicle, text: str) -> None:
     entry_of(vehicle, usual(vehicle))
 
 
-def front_section(scope: Scope) -> Section:
+def front_section(scope: Scope) -> Document:
     """Returns the front of the usual controller, or the reason why it is missing."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
     assert given is not None, "a front was asked for"
@@ -56,9 +55,9 @@ def front_section(scope: Scope) -> Section:
             vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs")
         )
     except DesignError as error:
-        return Section(TITLE, TERM, (f"There is no trade-off: {error}",))
+        return Document(TITLE, notes(f"There is no trade-off: {error}"))
     if not trade_off.points:
-        return Section(TITLE, TERM, (f"There is no trade-off: of {trade_off.tried} designs no claim could be proved.",))
+        return Document(TITLE, notes(f"There is no trade-off: of {trade_off.tried} designs no claim could be proved."))
     measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
     norms = np.array([trade_off.points[i].values for i in trade_off.marked])
     meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
@@ -84,7 +83,7 @@ def front_section(scope: Scope) -> Section:
         rows.append((str(i + 1), *cells, gain))
     caption = "Some of the designs: their norms, as proved and as measured, and their gains."
     table = Table("front", caption, tuple(headings), tuple(rows))
-    return Section(TITLE, TERM, tuple(text), (table,), (front_figure(trade_off, measured),))
+    return Document(TITLE, (*notes(*text), front_figure(trade_off, measured), table))
 
 
 def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import Column
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
-from models.document.page import Page, Section, Table
+from models.document.page import Page
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
@@ -35,35 +36,33 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
     reproduced, *others = last_lines(results)
     return Page(
         "Published results of suspensions, reproduced or refuted",
-        tuple(f"{name}: {text}" for name, text in about.items()),
-        Section("", "", (), (table,)),
+        (*(Statement(f"{one}.", "fails") for one in wrong), *notes(*(f"{name}: {text}" for name, text in about.items()))),
+        Document("", (table,)),
         tuple(_section(*each) for each in results),
-        state="fails" if wrong else "holds",
         headline=f"{reproduced}.",
         lead=tuple(f"{line[0].upper()}{line[1:]}." for line in others),
-        warnings=tuple(f"{sentence}." for sentence in wrong),
         verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
     )
 
 
-def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Section:
+def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     """Returns the section of an entry."""
     text = [f"{entry.about} Source: {entry.source}. Licence: {entry.licence}.".strip()]
     text += [f"{reason[0].upper()}{reason[1:]}." for reason in reasons(numbers)]
     text += [f"{BRACKETS[0].upper()}{BRACKETS[1:]}."] if any(one.printed.derived for one in numbers) else []
     text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
     if not numbers:
-        return Section(entry.title, entry.name, tuple(text))
-    where: Column[ComparedNumber] = Column("where", lambda one: one.printed.where)
+        return Document(entry.title, notes(*text))
+    where: Field[ComparedNumber] = Field("where", lambda one: one.printed.where)
     first, *others = columns(numbers)
     caption = f"What {entry.title} prints, and what comes out here."
     table = Table.of(f"gallery-{entry.name}", caption, [first, where, *others], numbers, words=2)
     panels = [panel for one in _first_of_each(numbers) if (panel := _panel(entry, numbers, one.printed)) is not None]
     if not panels:
-        return Section(entry.title, entry.name, tuple(text), (table,))
+        return Document(entry.title, (*notes(*text), table))
     title = "Lines: linear analysis. Markers: MuJoCo. Dashed: the printed number."
     figure = Figure(f"gallery-{entry.name}", title, tuple(panels), columns=min(len(panels), 3))
-    return Section(entry.title, entry.name, tuple(text), (table,), (figure,))
+    return Document(entry.title, (*notes(*text), figure, table))
 
 
 def _first_of_each(numbers: Sequence[ComparedNumber]) -> list[ComparedNumber]:

@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from models.common.printed import as_name, percent
-from models.document.page import State
+from models.document.document import Statement
 from models.roads.road import Bump
 from sim.linear.dampers import is_linear
 from sim.report.scope import Scope, at_most, joined, names_text, percents
@@ -19,20 +18,6 @@ from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from synth.controller.controller import Controller
 
 HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride
-
-
-@dataclass(frozen=True)
-class Statement:
-    """Sentence of the answer, and its state of physics against analysis."""
-
-    text: str
-    state: State = "holds"
-
-
-def worst(findings: Sequence[Statement]) -> State:
-    """Returns the worst state of all statements."""
-    order: tuple[State, ...] = ("fails", "ends", "holds")
-    return next(state for state in order if state == "holds" or any(one.state == state for one in findings))
 
 
 def loops(scope: Scope) -> list[Statement]:

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.printed import Column, as_name, cell, cells, titles
+from models.common.printed import as_name, cell
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, cells, titles
 from models.document.figure import Figure
-from models.document.page import Section, Table
 from models.document.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
-from sim.report.headline import Statement, unclaimed_words
+from sim.report.headline import unclaimed_words
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
@@ -27,7 +28,7 @@ MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
-def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
+def margins_section(scope: Scope) -> tuple[Document, list[Statement]]:
     """Returns the section on margins, predicted and found, and statements on controllers for which physics differs."""
     # A quick report has no margins, and waits for none of their searches to be imported.
     from sim.studies.stability.figure import margins_figure
@@ -110,21 +111,22 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         about += f"Delay, sample period and errors are those of the loop without [implementation]{scope.lag}."
         about += f" Its {scope.vehicle.implementation.noise_text} is not included." if scope.blurred else ""
         text = (*text, f"{about} The nominal norm is the ideal loop's, too.")
-    title = "How much goes wrong before it becomes unstable?"
-    return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), statements
+    return Document("Stability margins", (*notes(*text), *figures, *tables)), statements
 
 
-REGIME: tuple[Column[RegimeEnd], ...] = (
-    Column("predicted end", lambda end: end.predicted_end),
-    Column("at [m]", lambda end: end.predicted, "{:.5g}".format),
-    Column("MuJoCo stays linear at [m]", lambda end: end.stays, "{:.5g}".format),
-    Column("off by, of a peak", lambda end: end.error, "{:.1e}".format),
-    Column("and not at [m]", lambda end: end.leaves, ".5g"),
-    Column("ended by", lambda end: end.end or "nothing"),
+REGIME: tuple[Field[RegimeEnd], ...] = (
+    Field("predicted end", lambda end: end.predicted_end),
+    Field("at [m]", lambda end: end.predicted, "{:.5g}".format),
+    Field("MuJoCo stays linear at [m]", lambda end: end.stays, "{:.5g}".format),
+    Field("off by, of a peak", lambda end: end.error, "{:.1e}".format),
+    Field("and not at [m]", lambda end: end.leaves, ".5g"),
+    Field("ended by", lambda end: end.end or "nothing"),
 )
 
 
-def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> Section:
+def regime_section(
+    scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]
+) -> Document:
     """Up to which height of one bump the linear regime holds: predicted, and the two runs of MuJoCo that enclose it."""
     rows = []
     for one, end in ends:
@@ -141,7 +143,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
     table = Table("regime", caption, ("controller", *titles(REGIME)), tuple(rows), words=2)
-    return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
+    return Document("Range of linear analysis over bumps", (*notes(*text), table))
 
 
 Map = tuple[Figure, tuple[str, ...], tuple[Statement, ...]]  # figure, row of the table, and what is wrong with it
@@ -167,7 +169,7 @@ def map_of(scope: Scope, number: int) -> Map:
     return named, row, findings
 
 
-def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:
+def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Document, list[Statement]]:
     """The map of every controller; and the controllers whose runs break otherwise than predicted."""
     axes, bump = read_axes(MAP), Bump()
     headings = (
@@ -191,9 +193,8 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
         headings,
         tuple(row for _, row, _ in maps),
     )
-    title = "How far can the analysis be trusted?"
     figures = tuple(figure for figure, *_ in maps)
-    section = Section(title, "the map of validity, over heights and speeds", text, (table,), figures)
+    section = Document("Range of linear analysis over height and speed", (*notes(*text), *figures, table))
     return section, [finding for *_, findings in maps for finding in findings]
 
 

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.common.printed import Column, as_name, cell, cells, titles
+from models.common.printed import as_name, cell
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, cells, titles
 from models.document.figure import Curve, Figure, Panel, thinned
-from models.document.page import Section, Table
 from models.document.reading import Pivot
 from models.kinds.links import left_out
 from models.roads.load import Load
@@ -16,7 +17,6 @@ from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
-from sim.report.headline import Statement
 from sim.report.scope import Scope, names_text
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
@@ -44,7 +44,7 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
-def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
+def loads_section(scope: Scope) -> tuple[Document, list[Statement]]:
     """Returns the section on loads on a flat road: their course, the body's angles and rest; and statements on differences of
     physics.
     """
@@ -81,7 +81,7 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
     table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
-    return Section("What do loads do?", "brakes, curves, payloads, wind", tuple(text), (table,), (figure,)), findings
+    return Document("Response to loads", (*notes(*text), figure, table)), findings
 
 
 def _carried(vehicle: Vehicle) -> str:
@@ -146,15 +146,15 @@ def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run]) -> list[Pane
     return panels
 
 
-def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Section:
+def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Document:
     """EUSAMA's least loads of every wheel, predicted and in MuJoCo, and what is said against them."""
-    columns: tuple[Column[tuple[str, MinimumLoad]], ...] = (
-        Column("controller", lambda pair: pair[0]),
-        Column("wheel's", lambda pair: pair[1].tyre.replace("_", " ")),
+    columns: tuple[Field[tuple[str, MinimumLoad]], ...] = (
+        Field("controller", lambda pair: pair[0]),
+        Field("wheel's", lambda pair: pair[1].tyre.replace("_", " ")),
         RATIO.of(lambda pair: pair[1], "least load, predicted [%]"),
         MEASURED.of(lambda pair: pair[1], "MuJoCo [%]"),
         AT.of(lambda pair: pair[1], "at [Hz]"),
-        Column("linear regime ended by", lambda pair: pair[1].end or "-"),
+        Field("linear regime ended by", lambda pair: pair[1].end or "-"),
     )
     loads = [(one.lines.controller.name, load) for one in sweeps for load in one.loads]
     caption = "EUSAMA's least load of every wheel, in percent of its static load: disputed."
@@ -165,4 +165,4 @@ def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Section:
         *((f"{words}.",) if words else ()),
     )
     table = Table.of("eusama", caption, columns, loads)
-    return Section("What would a workshop say?", "EUSAMA's least load, disputed", text, (table,))
+    return Document("Workshop test (EUSAMA)", (*notes(*text), table))

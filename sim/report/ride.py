@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import Column, as_name
+from models.common.printed import as_name
+from models.document.document import Document, Table, notes
+from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, Style
-from models.document.page import Section, Table
 from models.document.reading import Pivot
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
@@ -54,28 +55,27 @@ class Ride:
     events: str
 
 
-def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Section:
+def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
     """Every controller over every class."""
-    columns: tuple[Column[Ride], ...] = (
-        Column("class", lambda one: one.road_class),
-        Column("controller", lambda one: one.controller),
-        Column("metric", lambda one: one.metric),
-        Column("unit", lambda one: one.unit),
-        Column("MuJoCo", lambda one: one.measured, ".4g"),
-        Column("predicted", lambda one: one.predicted, ".4g"),
-        Column("road to road", lambda one: one.spread / one.predicted if one.predicted else None, _spread),
-        Column("lift-off", lambda one: one.events),
+    columns: tuple[Field[Ride], ...] = (
+        Field("class", lambda one: one.road_class),
+        Field("controller", lambda one: one.controller),
+        Field("metric", lambda one: one.metric),
+        Field("unit", lambda one: one.unit),
+        Field("MuJoCo", lambda one: one.measured, ".4g"),
+        Field("predicted", lambda one: one.predicted, ".4g"),
+        Field("road to road", lambda one: one.spread / one.predicted if one.predicted else None, _spread),
+        Field("lift-off", lambda one: one.events),
     )
     roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
     caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
-    rough = Table("roads", caption, headings, roads, aside=True)
+    rough = Table("roads", caption, headings, roads, detail="full")
     ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
     caption = "Every metric of the ride in MuJoCo, class by class; below, what is predicted, and lift-off."
     table = Table.of("ride", caption, columns, ordered, words=4, pivot=pivot)
-    title = "How much more comfortable is it, and does it hold the road?"
-    return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table, rough), (ride_figure(rides, style),))
+    return Document("Ride over random roads", (*notes(ride_text(vehicle)), ride_figure(rides, style), table, rough))
 
 
 def _spread(share: float) -> str:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from models.common.printed import Column, as_name
+from models.common.printed import as_name
+from models.document.field import Field
 from models.document.figure import Style, styles
 from models.roads.load import Load
 from models.roads.road import Bump, Road
@@ -238,7 +239,7 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
     steps_per_sample(vehicle.implementation, timestep)
 
 
-NAME = Column[AnyController]("controller", lambda one: one.name)
+NAME = Field[AnyController]("controller", lambda one: one.name)
 
 
 def at_most(value: float) -> str:

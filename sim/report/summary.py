@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.printed import Column, as_name, cell
+from models.common.printed import as_name, cell
+from models.document.document import Document, Table
+from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
-from models.document.page import Section, Table
 from models.vehicle.names import PASSIVE
 from sim.report.best import DIVE, headline, requirements_table
 from sim.report.headline import unclaimed
@@ -28,7 +29,7 @@ PANELS = {  # of the first figure, by measure
 
 def first_screen(
     scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
-) -> Section:
+) -> Document:
     """Returns what is seen first: requirements where there are some, who is best at what, and the same as bars.
 
     Args:
@@ -38,7 +39,7 @@ def first_screen(
     """
     wanted = requirements_table(scope, runs)
     tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, where))
-    return Section("", "", (), tables, (compared_figure(scope, compared, dive, where),))
+    return Document("", (*tables, compared_figure(scope, compared, dive, where)))
 
 
 def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[str, float], where: str) -> Figure:
@@ -71,7 +72,7 @@ def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[st
 
 def trust_section(
     scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
-) -> Section:
+) -> Document:
     """Returns the section on the claims about every controller, and up to which bump they are true."""
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     roughness, label, unit = _roughness(scope, runs, rides)
@@ -81,17 +82,17 @@ def trust_section(
         if one.name not in wrong:
             stated[one.name] = "at any height" if end is None else _metres(end)
     neither = (None, None)
-    columns: tuple[Column[Run], ...] = (
-        Column("controller", lambda run: run.controller.name),
-        Column("H-infinity norm", lambda run: norms.get(run.controller.name), ".4g"),
-        Column(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
-        Column("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
-        Column(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
-        Column(f"over {scope.where}", lambda run: _verdict(scope, run)),
+    columns: tuple[Field[Run], ...] = (
+        Field("controller", lambda run: run.controller.name),
+        Field("H-infinity norm", lambda run: norms.get(run.controller.name), ".4g"),
+        Field(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
+        Field("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
+        Field(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
+        Field(f"over {scope.where}", lambda run: _verdict(scope, run)),
     )
     caption = "Norm and prediction for each controller, MuJoCo's result, and the height of the bump up to which analysis is true."
     table = Table.of("summary", caption, columns, runs)
-    return Section("Can these numbers be trusted?", "norm, prediction, physics", (), (table,))
+    return Document("Verification", (table,))
 
 
 def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: str) -> str:

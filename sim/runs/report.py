@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from models.common.printed import cell, finite, json_object, percent, table, wrapped
+from models.common.printed import cell, finite, percent, table, wrapped
+from models.document.field import json_object
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
+from models.common.printed import WIDTH, command, finite, option, percent, table, wrapped
+from models.document.field import cells, json_object, titles
 from models.laws.linear import FEWER
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle

@@ -9,7 +9,8 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.printed import Column, finite, matrix, percent
+from models.common.printed import finite, matrix, percent
+from models.document.field import Field
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL
@@ -26,12 +27,12 @@ SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the dis
 ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
 
 
-BOUND = Column[Certificate]("bound", lambda one: one.bound, ".7g", key="bound")
-NORM = Column[Certificate]("norm", lambda one: one.norm.value, ".7g", key="norm")
-PEAK = Column[Certificate]("at rad/s", lambda one: one.norm.peak_frequency, ".5g", key="peak_frequency")
-LOWER_BOUND = Column[Certificate]("lower bound", lambda one: one.lower_bound, ".7g", key="lower_bound")
-GAP = Column[Certificate]("above it", lambda one: one.gap, percent, key="gap")
-SLOWEST_POLE = Column[Certificate]("slowest pole", lambda one: one.own.worst.real, ".4g")
+BOUND = Field[Certificate]("bound", lambda one: one.bound, ".7g", key="bound")
+NORM = Field[Certificate]("norm", lambda one: one.norm.value, ".7g", key="norm")
+PEAK = Field[Certificate]("at rad/s", lambda one: one.norm.peak_frequency, ".5g", key="peak_frequency")
+LOWER_BOUND = Field[Certificate]("lower bound", lambda one: one.lower_bound, ".7g", key="lower_bound")
+GAP = Field[Certificate]("above it", lambda one: one.gap, percent, key="gap")
+SLOWEST_POLE = Field[Certificate]("slowest pole", lambda one: one.own.worst.real, ".4g")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:

@@ -1,14 +1,15 @@
-"""A `Column` says once what a quantity is called, how it is written and where it is found; tables and JSON read it there."""
+"""A `Field` says once what a quantity is called, how it is written and where it is found; tables and JSON read it there."""
 
 import math
 
-from models.common.printed import Column, cells, column_table, json_object
-from models.document.page import Table
+from models.document.document import Table
+from models.document.field import Field, cells, json_object
+from models.document.text import field_table
 
-LENGTHS: tuple[Column[float | None], ...] = (
-    Column("length [mm]", lambda x: x, ".1f", 1e3, "length"),
-    Column("at least", lambda x: x, "{:.0e}".format),
-    Column("is", lambda x: "none" if x is None else "some"),
+LENGTHS: tuple[Field[float | None], ...] = (
+    Field("length [mm]", lambda x: x, ".1f", 1e3, "length"),
+    Field("at least", lambda x: x, "{:.0e}".format),
+    Field("is", lambda x: "none" if x is None else "some"),
 )
 
 
@@ -16,7 +17,7 @@ def test_one_quantity_in_three_forms():
     """A table has the number in its own unit and digits, JSON the number itself; no number is a dash and null."""
     rows = (("1234.6", "1e+00", "some"),)
     assert cells(LENGTHS, [1.23456]) == rows
-    assert column_table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
+    assert field_table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
     assert Table.of("lengths", "", LENGTHS, [1.23456]) == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
     assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
     for value, row in ((None, ("-", "-", "none")), (math.inf, ("-", "inf", "some"))):

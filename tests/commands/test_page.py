@@ -19,6 +19,7 @@ import pytest
 
 from models.document.axis import Axis, axis_of
 from models.document.direct_labels import direct_labels
+from models.document.document import Document, Table, notes
 from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
 from models.document.outputs import check_outputs
 from models.document.page import (
@@ -27,8 +28,6 @@ from models.document.page import (
     LIGHT,
     TEXT,
     Page,
-    Section,
-    Table,
     by_night,
     contrast,
     ground_by_night,
@@ -47,7 +46,7 @@ pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("contourpy", reason="a report needs the extra [report]")
 
 SVG = "{http://www.w3.org/2000/svg}"
-CSS = (ROOT / "models" / "figures" / "page.css").read_text(encoding="utf-8")
+CSS = (ROOT / "models" / "document" / "page.css").read_text(encoding="utf-8")
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 POWER = re.compile(r"(?:(\d)·)?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)")
@@ -108,8 +107,8 @@ def everything(names: tuple[str, ...]) -> Page:
     )
     tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
     figures = tuple(Figure(f"f{k}", f"figure {k}", (panel,), columns=1 + k % 2) for k, panel in enumerate(panels))
-    section = Section("What is it?", "a term", ("text",), tables, figures)
-    return Page("title", names, Section("", "", (), tables[:0], figures[:0]), (section,))
+    section = Document("A term", (*notes("text"), *figures, *tables))
+    return Page("title", notes(*names), Document(""), (section,))
 
 
 PAGES = {

@@ -183,7 +183,8 @@ def test_what_is_old_in_a_folder_is_told(tmp_path, capsys):
 @pytest.mark.attack
 def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
-    from models.document.page import Page, Section, render
+    from models.document.document import Document, notes
+    from models.document.page import Page, render
     from models.document.picture import write_picture
 
     x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
@@ -194,7 +195,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
     bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([1.0, np.nan]), ("1", "none"), ("#000000", "#d62728")))
     figure = Figure("grounds", "three", (cells, shades, bars))
-    text = render(Page("t", ("a < b",), Section("", ""), (Section("s", "t", figures=(figure,)),)))
+    text = render(Page("t", notes("a < b"), Document(""), (Document("s", (figure,)),)))
     assert "a &lt; b" in text
     assert text.count('id="plot-grounds-') == 3 + 2 * 3  # each with its title and its text
     # Over `.plot path { fill: none; }`, which would hide an area of one class alone.

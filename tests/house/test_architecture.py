@@ -38,7 +38,8 @@ ROOMS = {
     "synth": "",
     "synth.plant": "models.laws",
     "synth.analysis": "models.document synth.plant",
-    "synth.controller": "models models.kinds models.laws models.suspension models.vehicle synth.analysis synth.plant",
+    "synth.controller": "models models.document models.kinds models.laws models.suspension models.vehicle synth.analysis "
+    "synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
     "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
     "synth.vehicle": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "

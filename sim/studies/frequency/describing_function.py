@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import Column, cell, column_table, finite, finite_pairs, percent
+from models.common.printed import cell, finite, finite_pairs, percent
+from models.document.field import Field
+from models.document.text import field_table
 from models.laws.python_law import Programmed
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
@@ -42,11 +44,11 @@ class Moving:
     outside_at: float
 
 
-MOVING: tuple[Column[Moving], ...] = (
-    Column("largest", lambda signal: signal.largest, "{:.4g}".format),
-    Column("at Hz", lambda signal: signal.largest_at, "{:.3g}".format),
-    Column("energy outside", lambda signal: signal.outside, percent),
-    Column("at Hz", lambda signal: signal.outside_at, "{:.3g}".format),
+MOVING: tuple[Field[Moving], ...] = (
+    Field("largest", lambda signal: signal.largest, "{:.4g}".format),
+    Field("at Hz", lambda signal: signal.largest_at, "{:.3g}".format),
+    Field("energy outside", lambda signal: signal.outside, percent),
+    Field("at Hz", lambda signal: signal.outside_at, "{:.3g}".format),
 )
 
 
@@ -179,8 +181,8 @@ def describing_lines(one: DescribingFunction) -> list[str]:
             lines.append(f"  {some} {how}, the first at {np.min(one.diverged[which]):.4g} s: nothing is measured in such")
     if wild.all():
         return lines
-    name = Column[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
-    lines += column_table((name, *MOVING), one.moving)
+    name = Field[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
+    lines += field_table((name, *MOVING), one.moving)
     gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
     lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
     if one.drift > STEADY:

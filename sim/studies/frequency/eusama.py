@@ -20,7 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.printed import Column, column_table, json_object
+from models.document.field import Field, json_object
+from models.document.text import field_table
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -69,16 +70,16 @@ class MinimumLoad:
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
-RATIO = Column[MinimumLoad]("predicted", lambda one: one.ratio, ".2f", 100, "ratio")
-MEASURED = Column[MinimumLoad]("MuJoCo", lambda one: one.measured, ".2f", 100, "mujoco")
-AT = Column[MinimumLoad]("at Hz", lambda one: one.omega, ".2f", 1 / (2 * math.pi), "omega")
+RATIO = Field[MinimumLoad]("predicted", lambda one: one.ratio, ".2f", 100, "ratio")
+MEASURED = Field[MinimumLoad]("MuJoCo", lambda one: one.measured, ".2f", 100, "mujoco")
+AT = Field[MinimumLoad]("at Hz", lambda one: one.omega, ".2f", 1 / (2 * math.pi), "omega")
 IN_JSON = (
     RATIO,
     AT,
-    Column[MinimumLoad]("", lambda one: one.driven, key="driven"),
+    Field[MinimumLoad]("", lambda one: one.driven, key="driven"),
     MEASURED,
-    Column[MinimumLoad]("", lambda one: one.allowed, key="allowed"),
-    Column[MinimumLoad]("", lambda one: list(one.ended), key="ended"),
+    Field[MinimumLoad]("", lambda one: one.allowed, key="allowed"),
+    Field[MinimumLoad]("", lambda one: list(one.ended), key="ended"),
 )
 
 
@@ -176,9 +177,9 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
     """Returns the minimum loads as a table, with a note on the criticism of this test."""
-    name = Column[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
-    ended = Column[MinimumLoad]("", lambda one: one.end)
-    return [*column_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
+    name = Field[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
+    ended = Field[MinimumLoad]("", lambda one: one.end)
+    return [*field_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
 
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:

@@ -3,24 +3,25 @@
 from collections.abc import Sequence
 from typing import Any
 
-from models.common.printed import Column, json_object, table, titled
+from models.common.printed import table, titled
+from models.document.field import Field, json_object
 from sim.studies.gallery.entries import PAPER, SOURCES, Entry
 from sim.studies.gallery.numbers import ComparedNumber
 
 Result = tuple[Entry, Sequence[ComparedNumber]]
 
 BRACKETS = "in brackets: the source prints data or a formula, from which the number follows"
-COLUMNS: tuple[Column[ComparedNumber], ...] = (
-    Column("number", lambda one: one.printed.text, key="number"),
-    Column("printed", lambda one: one.printed.shown),
-    Column("exact", lambda one: one.shown_exact),
-    Column("grid", lambda one: one.grid, ".7g", key="grid"),
-    Column("MuJoCo", lambda one: one.mujoco, ".7g", key="mujoco"),
-    Column("verdict", lambda one: one.verdict.partition(":")[0], key="verdict"),
+COLUMNS: tuple[Field[ComparedNumber], ...] = (
+    Field("number", lambda one: one.printed.text, key="number"),
+    Field("printed", lambda one: one.printed.shown),
+    Field("exact", lambda one: one.shown_exact),
+    Field("grid", lambda one: one.grid, ".7g", key="grid"),
+    Field("MuJoCo", lambda one: one.mujoco, ".7g", key="mujoco"),
+    Field("verdict", lambda one: one.verdict.partition(":")[0], key="verdict"),
 )
 
 
-def columns(numbers: Sequence[ComparedNumber]) -> list[Column[ComparedNumber]]:
+def columns(numbers: Sequence[ComparedNumber]) -> list[Field[ComparedNumber]]:
     """Returns the columns of a table of numbers, that of grids only if one has a grid."""
     return [one for one in COLUMNS if one.title != "grid" or any(number.grid is not None for number in numbers)]
 

@@ -10,7 +10,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
+from models.common.printed import Shown, finite, percent, table, wrapped
+from models.document.field import Field, cells, json_object, titles
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
@@ -83,12 +84,12 @@ class MetricComparison:
     approximate: bool
 
 
-METRIC: tuple[Column[MetricComparison], ...] = (
-    Column("unit", lambda one: one.unit, key="unit"),
-    Column("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco"),
-    Column("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
-    Column("expected", lambda one: one.expected, ".4g", key="expected"),
-    Column("+- by road", lambda one: one.spread, ".4g", key="spread"),
+METRIC: tuple[Field[MetricComparison], ...] = (
+    Field("unit", lambda one: one.unit, key="unit"),
+    Field("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco"),
+    Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
+    Field("expected", lambda one: one.expected, ".4g", key="expected"),
+    Field("+- by road", lambda one: one.spread, ".4g", key="spread"),
 )
 
 
@@ -316,7 +317,7 @@ def angle_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str
     return ["", *table([("angles [deg]", *headings), *rows])]
 
 
-def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:
+def _row(name: str, one: MetricComparison, columns: Sequence[Field[MetricComparison]]) -> tuple[str, ...]:
     """Returns a row of the table of metrics; ~ marks approximate values, and an unknown spread is omitted."""
     shown = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
     if one.approximate and one.expected:

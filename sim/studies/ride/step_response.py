@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import Column, cells, finite, json_object, table, titles
+from models.common.printed import finite, table
+from models.document.field import Field, cells, json_object, titles
 from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.runs.run import Run
@@ -50,13 +51,13 @@ class StepMetrics:
     itae: float
 
 
-COLUMNS: tuple[Column[StepMetrics], ...] = (
-    Column("peak", lambda one: one.peak, ".5g", key="peak"),
-    Column("at s", lambda one: one.peak_time, ".5g", key="peak_time"),
-    Column("over %", lambda one: 100 * one.overshoot, ".4g"),
-    Column("settled s", lambda one: one.settled if one.settling_time is None else f"{one.settling_time:.5g}"),
-    Column("IAE", lambda one: one.iae, ".4g", key="iae"),
-    Column("ITAE", lambda one: one.itae, ".4g", key="itae"),
+COLUMNS: tuple[Field[StepMetrics], ...] = (
+    Field("peak", lambda one: one.peak, ".5g", key="peak"),
+    Field("at s", lambda one: one.peak_time, ".5g", key="peak_time"),
+    Field("over %", lambda one: 100 * one.overshoot, ".4g"),
+    Field("settled s", lambda one: one.settled if one.settling_time is None else f"{one.settling_time:.5g}"),
+    Field("IAE", lambda one: one.iae, ".4g", key="iae"),
+    Field("ITAE", lambda one: one.itae, ".4g", key="itae"),
 )
 
 

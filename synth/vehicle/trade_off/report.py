@@ -10,15 +10,16 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.printed import Column, finite, json_object, table, wrapped
+from models.common.printed import finite, table, wrapped
+from models.document.field import Field, json_object
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import AxisValue, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
-TRAVEL = Column[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
-NUMBERS: tuple[Column[Point], ...] = (
+TRAVEL = Field[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
+NUMBERS: tuple[Field[Point], ...] = (
     NORM.of(lambda point: point.controller.certificate),
     BOUND.of(lambda point: point.controller.certificate),
     TRAVEL,
