@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from models.document.document import Document, Statement, Table
+from models.document.document import Document, Table
 from models.document.page import VERDICTS, Page
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
@@ -93,8 +93,6 @@ def report(
         *report_answer.over_the_bump(scope, runs),
         *report_answer.left_short(scope, runs),
         *report_answer.left_out(scope),
-        *frequencies.findings,
-        *report_answer.regime(scope, bump, ends, runs),
     ]
     sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
     if frequencies.section is not None:
@@ -105,20 +103,14 @@ def report(
         sections.append(regime_section(scope, bump, ends, runs))
     if (MARGINS, "") in parts:
         maps = [parts[MAP, one.name] for one in scope.active]
-        for section, findings in (parts[MARGINS, ""], validity_section(scope, maps)):
-            sections.append(section)
-            answer += findings
+        sections += [parts[MARGINS, ""], validity_section(scope, maps)]
     if rides:
         sections.append(ride_section(vehicle, rides, scope.styles))
     if frequencies.workshop is not None:
         sections.append(frequencies.workshop)
-    for name in (LOADS, EXPORTED):
-        if (name, "") in parts:
-            section, findings = parts[name, ""]
-            sections.append(section)
-            answer += findings
-    sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
+    sections += [parts[name, ""] for name in (LOADS, EXPORTED, FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
+    answer += [one for section in sections for one in section.statements if one.state != "note"]
     where, dive = compared_on(scope, compared, bool(rides), when), dives(scope)
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     whole = Page(
@@ -173,12 +165,10 @@ class Frequencies:
     """Results on sinusoids.
 
     Attributes:
-        findings: findings for the answer.
         section: section on frequency responses, or None without any.
         workshop: section on a workshop's plate, or None in a quick report.
     """
 
-    findings: list[Statement]
     section: Document | None
     workshop: Document | None
 
@@ -196,13 +186,12 @@ def _frequencies(scope: Scope) -> Frequencies:
         scope.progress(OWN)
         own = [describing_function(vehicle, one, AMPLITUDE, h, speed) for one in scope.laws]
     return Frequencies(
-        report_answer.responses(scope, lines, sweeps),
         frequency_section(scope, lines, sweeps, speed, own) if lines or own else None,
         workshop_section(scope, sweeps) if sweeps else None,
     )
 
 
-def _margins(scope: Scope) -> tuple[Document, list[Statement]]:
+def _margins(scope: Scope) -> Document:
     """Returns the section on margins, for the vehicle at rest."""
     return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 

@@ -13,6 +13,7 @@ from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
+from sim.report.headline import responses
 from sim.report.scope import AMPLITUDE, NAME, Scope
 from sim.studies.frequency.describing_function import MOVING, DescribingFunction, Moving
 from sim.studies.frequency.figure import sweep_figure
@@ -259,7 +260,7 @@ def frequency_section(
         )
         signals = [(one.controller.name, signal) for one in own for signal in one.moving]
         tables.append(Table.of("describing-functions", caption, moving, signals, words=3))
-    return Document("Frequency response", (*notes(*text), figure, *tables))
+    return Document("Frequency response", (*responses(scope, lines, sweeps), *notes(*text), figure, *tables))
 
 
 def paper_section(scope: Scope) -> Document:

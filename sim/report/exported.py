@@ -10,22 +10,22 @@ from synth.controller.controller import code_of
 TITLE = "Exported code"
 
 
-def exported_section(scope: Scope) -> tuple[Document, list[Statement]]:
-    """Returns the section on the folder of a report, and the sentences of the answer on it."""
+def exported_section(scope: Scope) -> Document:
+    """Returns the section on the folder of a report."""
     exported = scope.exported
     assert exported is not None, "a folder was given"
     driver, vehicle = exported.driver, scope.vehicle
     numbers, time = code_of(driver).law.numbers, sample_times(vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(vehicle, [driver], scope.road, time)
     said, effect = verdict(run), run.prediction.code_effect
-    text = [f"The compiled code of this folder, in {numbers}, drives MuJoCo over {scope.where}: {said}."]
+    text = []
     if effect is not None and effect.clipped:
         text.append(f"{effect.clipped[0]} leaves its range there and is clipped there; export it with a larger one.")
     finding = Statement(
         f"Exported code of {as_name(driver.name)}, in {numbers}, over {scope.where}: {said}.",
         "holds" if run.passed else "fails",
     )
-    return Document(TITLE, (*notes(*text), _facts(exported), _changes(run))), [finding]
+    return Document(TITLE, (finding, *notes(*text), _facts(exported), _changes(run)))
 
 
 def _facts(exported: Exported) -> Table:

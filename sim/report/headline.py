@@ -29,7 +29,8 @@ def loops(scope: Scope) -> list[Statement]:
         statements.append(
             Statement(
                 "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
-                f"certificates are of it. MuJoCo runs the loop as built: {scope.implementation_text}."
+                f"certificates are of it. MuJoCo runs the loop as built: {scope.implementation_text}.",
+                "holds",
             )
         )
     for one in scope.controllers:
@@ -39,7 +40,7 @@ def loops(scope: Scope) -> list[Statement]:
                 f"{who} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
                 "no margins."
             )
-            statements.append(Statement(text))
+            statements.append(Statement(text, "holds"))
         elif not one.certificate.stable:
             statements.append(Statement(f"The loop of {who} is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
@@ -54,7 +55,8 @@ def loops(scope: Scope) -> list[Statement]:
             Statement(
                 f"Linear analysis does not apply to {names_text(one.name for one in scope.laws)}, as "
                 f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: there is no norm, bound or margin, and no "
-                f"height up to which analysis is true. MuJoCo's steps and commands are checked all the same. {_reference(scope)}"
+                f"height up to which analysis is true. MuJoCo's steps and commands are checked all the same. {_reference(scope)}",
+                "holds",
             )
         )
     return statements
@@ -85,7 +87,7 @@ def norms(scope: Scope) -> list[Statement]:
     if scope.built_norms:
         built = ", ".join(f"{as_name(name)} {value.value:.4g}" for name, value in scope.built_norms.items())
         text += f" As built{scope.noise_qualifier}, at a step of {1e3 * scope.timestep:g} ms: {built}."
-    return [Statement(text)]
+    return [Statement(text, "holds")]
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
@@ -97,12 +99,12 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if right:
         names = names_text(run.controller.name for run in right)
         text = f"Over {scope.where}, MuJoCo agrees with the vehicle's equations and the control laws for {names}."
-        statements.append(Statement(text))
+        statements.append(Statement(text, "holds"))
     if throughout := [run for run in linear if math.isinf(run.agreement.until)]:
         off = at_most(max(signal.sampled for run in throughout for signal in run.agreement.signals.values()))
         names = names_text(run.controller.name for run in throughout)
         text = f"{which[0].upper()}{which[1:]} is within {off} of every peak throughout the {scope.duration:g} s for {names}."
-        statements.append(Statement(text))
+        statements.append(Statement(text, "holds"))
     for run in linear:
         if (until := run.agreement.until) < math.inf:
             text = f"For {as_name(run.controller.name)}, {which} applies until {until:.3g} s of {scope.duration:g} s"
@@ -142,7 +144,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
 def left_out(scope: Scope) -> list[Statement]:
     """Returns a statement on the controllers of the vehicle file that are not on the page."""
     names = [name for name in scope.vehicle.controller_names if name not in {one.name for one in scope.driven}]
-    return [Statement(f"Not on this page, though in the vehicle file: {names_text(names)}.")] if names else []
+    return [Statement(f"Not on this page, though in the vehicle file: {names_text(names)}.", "holds")] if names else []
 
 
 def what_ended(run: Run) -> str:
@@ -163,7 +165,8 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     statements = [
         Statement(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}{scope.loop_qualifier}."
+            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}{scope.loop_qualifier}.",
+            "holds",
         )
     ]
     for one in sweeps:
@@ -229,4 +232,4 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             "below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
-    return [Statement(text), *statements] if heights else statements
+    return [Statement(text, "holds"), *statements] if heights else statements

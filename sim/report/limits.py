@@ -13,7 +13,7 @@ from models.document.figure import Figure
 from models.document.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
-from sim.report.headline import unclaimed_words
+from sim.report.headline import regime, unclaimed_words
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
@@ -28,8 +28,8 @@ MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
-def margins_section(scope: Scope) -> tuple[Document, list[Statement]]:
-    """Returns the section on margins, predicted and found, and statements on controllers for which physics differs."""
+def margins_section(scope: Scope) -> Document:
+    """Returns the section on margins, predicted and found."""
     # A quick report has no margins, and waits for none of their searches to be imported.
     from sim.studies.stability.figure import margins_figure
     from sim.studies.stability.fragility import find_fragility
@@ -111,7 +111,7 @@ def margins_section(scope: Scope) -> tuple[Document, list[Statement]]:
         about += f"Delay, sample period and errors are those of the loop without [implementation]{scope.lag}."
         about += f" Its {scope.vehicle.implementation.noise_text} is not included." if scope.blurred else ""
         text = (*text, f"{about} The nominal norm is the ideal loop's, too.")
-    return Document("Stability margins", (*notes(*text), *figures, *tables)), statements
+    return Document("Stability margins", (*statements, *notes(*text), *figures, *tables))
 
 
 REGIME: tuple[Field[RegimeEnd], ...] = (
@@ -143,7 +143,7 @@ def regime_section(
         text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
     table = Table("regime", caption, ("controller", *titles(REGIME)), tuple(rows), words=2)
-    return Document("Range of linear analysis over bumps", (*notes(*text), table))
+    return Document("Range of linear analysis over bumps", (*regime(scope, bump, ends, runs), *notes(*text), table))
 
 
 Map = tuple[Figure, tuple[str, ...], tuple[Statement, ...]]  # figure, row of the table, and what is wrong with it
@@ -169,8 +169,8 @@ def map_of(scope: Scope, number: int) -> Map:
     return named, row, findings
 
 
-def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Document, list[Statement]]:
-    """The map of every controller; and the controllers whose runs break otherwise than predicted."""
+def validity_section(scope: Scope, maps: Sequence[Map]) -> Document:
+    """Returns the section on the map of every controller."""
     axes, bump = read_axes(MAP), Bump()
     headings = (
         "controller",
@@ -194,8 +194,8 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Document, list[
         tuple(row for _, row, _ in maps),
     )
     figures = tuple(figure for figure, *_ in maps)
-    section = Document("Range of linear analysis over height and speed", (*notes(*text), *figures, table))
-    return section, [finding for *_, findings in maps for finding in findings]
+    wrong = [finding for *_, findings in maps for finding in findings]
+    return Document("Range of linear analysis over height and speed", (*wrong, *notes(*text), *figures, table))
 
 
 def _margin(value: float) -> str:

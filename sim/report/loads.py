@@ -44,10 +44,8 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
-def loads_section(scope: Scope) -> tuple[Document, list[Statement]]:
-    """Returns the section on loads on a flat road: their course, the body's angles and rest; and statements on differences of
-    physics.
-    """
+def loads_section(scope: Scope) -> Document:
+    """Returns the section on loads on a flat road: their course, the body's angles and rest."""
     vehicle, loads = scope.vehicle, scope.loads
     road = loaded_road(loads)
     time = sample_times(vehicle, duration_of(loads), scope.timestep)
@@ -77,11 +75,11 @@ def loads_section(scope: Scope) -> tuple[Document, list[Statement]]:
     if not wrong:
         under = "Under" if scope.own_road is None else "On a flat road, under"
         agreed = names_text(run.controller.name for run in runs)
-        findings = [Statement(f"{under} {names} MuJoCo agrees for {agreed}: {_leaning(rows)}.")]
+        findings = [Statement(f"{under} {names} MuJoCo agrees for {agreed}: {_leaning(rows)}.", "holds")]
     pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
     table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
-    return Document("Response to loads", (*notes(*text), figure, table)), findings
+    return Document("Response to loads", (*findings, *notes(*text), figure, table))
 
 
 def _carried(vehicle: Vehicle) -> str:

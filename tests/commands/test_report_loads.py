@@ -58,7 +58,7 @@ def test_the_workshop_s_plate_is_marked_as_disputed():
     one: Any = SimpleNamespace(lines=SimpleNamespace(controller=controller), loads=loads)
     scope: Any = SimpleNamespace(vehicle=vehicle)
     section = workshop_section(scope, [one])
-    assert DISPUTED in section.text[0]
+    assert DISPUTED in section.statements[0].text
     assert section.tables[0].rows[0][2:4] == (f"{100 * loads[0].ratio:.2f}", f"{100 * loads[0].measured:.2f}")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.document.document import worst
 from models.document.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -19,7 +20,7 @@ from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
 from sim.report.agreement import energy_table
-from sim.report.headline import over_the_bump, worst
+from sim.report.headline import over_the_bump
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
 from sim.report.scope import Scope
 from sim.runs.run import run_controllers, sample_times
