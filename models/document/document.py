@@ -24,8 +24,8 @@ class Statement:
 
     Attributes:
         text: the sentence; names of controllers in backticks.
-        state: what it says about the result.
-        detail: from which level of detail on it is shown.
+        state: its claim about the result.
+        detail: lowest level of detail at which it is shown.
     """
 
     text: str
@@ -44,7 +44,7 @@ class Table:
         rows: cells as text; the first is the row's name.
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned, except a last one `NOTE`.
         pivot: short form for a page, or None to show all columns that differ.
-        detail: from which level of detail on it is shown.
+        detail: lowest level of detail at which it is shown.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Document:
     Attributes:
         title: the field's term for it.
         blocks: statements, tables, figures and documents, in the order of reading.
-        detail: from which level of detail on it is shown.
+        detail: lowest level of detail at which it is shown.
     """
 
     title: str

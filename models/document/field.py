@@ -22,7 +22,7 @@ class Field(Generic[Of]):
         scale: factor from SI units to `unit`.
         key: key in JSON, for the value in SI units; empty to omit the quantity there.
         unit: unit in which it is written; empty if it has none, or if `form` writes it.
-        detail: from which level of detail on it is a column of a table.
+        detail: lowest level of detail at which it is a column of a table.
     """
 
     label: str
