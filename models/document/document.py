@@ -24,7 +24,7 @@ class Statement:
 
     Attributes:
         text: the sentence; names of controllers in backticks.
-        state: its claim about the result.
+        state: claim about the result; "note" for none.
         detail: lowest level of detail at which it is shown.
     """
 

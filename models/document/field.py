@@ -16,7 +16,7 @@ class Field(Generic[Of]):
     """A quantity of a result.
 
     Attributes:
-        label: its name.
+        label: name of the quantity.
         value: function of a result: a text, or a number in SI units.
         form: format of a number, or a function that formats it.
         scale: factor from SI units to `unit`.
