@@ -165,7 +165,8 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     statements = [
         Statement(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}{scope.loop_qualifier}.",
+            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}"
+            f"{scope.loop_qualifier}.",
             "holds",
         )
     ]
