@@ -22,8 +22,9 @@ from models.vehicle.vehicle import Vehicle
 
 UNITS = {  # of numbers of roads; all others are lengths
     **dict.fromkeys(("start", "duration"), "s"), **dict.fromkeys(("frequency", "lowest", "highest"), "Hz"),
-    "phase": "deg", "iri": "m/km",
+    "phase": "deg", "iri": "m/km", "gd": "m3", "waviness": "", "band": "cycle/m",
 }  # fmt: skip
+RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # settings of a random road
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
 READ = "a .csv or .txt file has columns of distance and height, a .crg file is OpenCRG"
@@ -137,7 +138,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
-    allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
+    allowed = RANDOM if kind == "iso8608" else _defaults(OBSTACLES[kind])
     with error_in(f"road {text!r}:"):
         given = settings(colon + rest, allowed)
     values: dict[str, Any] = {
@@ -145,6 +146,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         for name, value in given.items()
     }
     if kind == "iso8608":
+        values = _random_values(text, values)
         _random(values)
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
@@ -190,8 +192,21 @@ def _rig(text: str, folder: Path) -> RoadChoice:
 
 
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:
-    """Returns a random road of a class or an IRI; class C by default."""
-    return Iso8608(values.get("class", "" if "iri" in values else "C"), *rest, iri=values.get("iri"))
+    """Returns a random road of a class, an IRI or a G_d(n0); class C by default."""
+    others = {name: value for name, value in values.items() if name != "class"}
+    return Iso8608(values.get("class", "" if {"iri", "gd"} & values.keys() else "C"), *rest, **others)
+
+
+def _random_values(text: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the settings of a random road with its band as two numbers [cycle/m]."""
+    others = {name: value for name, value in values.items() if name != "band"}
+    if "band" in values:
+        low, dots, high = values["band"].partition("..")
+        if not dots:
+            raise InputError(f"road {text!r}: band = {values['band']!r} is not allowed; give two ends, as in band=0.011..2.83")
+        ends = zip(("lowest", "highest"), (low, high), strict=True)
+        others |= {name: setting(f"road {text!r}: band", end, UNITS["band"]) for name, end in ends}
+    return others
 
 
 def _defaults(road: type) -> dict[str, Any]:

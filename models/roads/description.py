@@ -7,7 +7,7 @@ from typing import Any
 
 from models.common.checks import check
 from models.common.errors import InputError, listing, quoted
-from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
+from models.roads.iso8608 import Iso8608, check_seed
 from models.roads.load_choice import described_loads
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
@@ -68,13 +68,15 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 def _random(description: Mapping[str, Any]) -> Iso8608:
     seed, road_class = check_seed(description.get("seed")), description.get("class", "")
     iri = _read(description, "iri") if "iri" in description else None
-    if not isinstance(road_class, str) or (not road_class and iri is None):
-        raise InputError("road iso8608: its class is missing, or its iri")
+    gd = _read(description, "gd") if "gd" in description else None
+    if not isinstance(road_class, str) or (not road_class and iri is None and gd is None):
+        raise InputError("road iso8608: its class is missing, or its iri or gd")
     factor = _read({"factor": 1.0, **description}, "factor")
     speed, width, length = (_read(description, name) for name in ("speed", "track_width", "length"))
-    road = Iso8608(road_class, seed, speed, width, length, factor, iri)
-    follows = {"lowest": LOWEST, "highest": HIGHEST, "roughness": road.roughness * factor**2}
-    for name, value in follows.items():
+    waviness = _read({"waviness": 2.0, **description}, "waviness")
+    band = _read(description, "lowest"), _read(description, "highest")
+    road = Iso8608(road_class, seed, speed, width, length, factor, iri, gd, waviness, *band)
+    for name, value in {"roughness": road.roughness * factor**2}.items():
         if not math.isclose(_read(description, name), value, rel_tol=SAME):
             raise InputError(f"road iso8608: {name} was {description[name]:g}, and is {value:g} here: it is another road")
     return road

@@ -27,7 +27,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.roads.profile import START, Profile
 from models.roads.road import Departure, Road, track_width
-from models.roads.spectrum import Spectrum, coherency
+from models.roads.spectrum import Spectrum, coherency, slope_power
 from models.vehicle.vehicle import Vehicle
 
 SPEED = 80 / 3.6  # m/s
@@ -214,22 +214,23 @@ def _without_loads(road: Road) -> Road:
     return felt.road if isinstance(felt, Departure) else road
 
 
-def white_slope(iri: float, low: float, high: float) -> float:
-    """Returns the one-sided density [m/cycle] of a white slope in a band, for a random road with this mean IRI [m/km].
+def slope_density(iri: float, low: float, high: float, waviness: float) -> float:
+    """Returns the one-sided density [m/cycle] of the slope at `N0`, for a random road with this mean IRI [m/km].
 
     Args:
         iri: roughness index [m/km].
         low, high: ends of the band [cycle/m].
+        waviness: exponent of the road's spectrum; with 2 the slope is white.
     """
-    return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high)
+    return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high, waviness)
 
 
 @lru_cache(maxsize=16)
-def _unit_variance(low: float, high: float) -> float:
-    """Returns the variance of the car's response to a white slope of density 1 [cycle/m]."""
+def _unit_variance(low: float, high: float, waviness: float) -> float:
+    """Returns the variance of the car's response to a slope whose density at `N0` is 1 [cycle/m]."""
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
-    return float(np.sum(np.abs(slope_response(n, STEP)) ** 2)) * (high - low) / count
+    return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count
 
 
 def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
@@ -257,8 +258,9 @@ def _expected(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> di
     length = min(spectrum.length, GRAIN)
     first, last = math.ceil(low * length), math.floor(high * length)
     n = np.arange(first, last + 1) / length
-    lines = np.abs(slope_response(n, STEP)) ** 2 * spectrum.density / spectrum.speed / length
-    a = coherency(n, spectrum.track_width)
+    power = slope_power(n, spectrum.waviness) * spectrum.density / spectrum.speed / length
+    lines = np.abs(slope_response(n, STEP)) ** 2 * power
+    a = coherency(n, spectrum.track_width, spectrum.waviness)
     lags = 2 * max(last, math.ceil(length / STEP / 2))
     step = length / lags
     x = np.arange(min(lags // 2, math.floor(distance / step)) + 1) * step

@@ -2,23 +2,25 @@
 
 The vertical displacement of a road of a class has the one-sided power spectral density
 
-    G_d(n) = G_d(n0) (n / n0)^-2,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H:
+    G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H:
 
-the geometric means of the classes; their limits are half and twice as much. A road is a sum of lines n_k = k / length, each with
-the amplitude sqrt(2 G_d(n_k) / length) and a phase of its own, from 0.01 to 10 cycles/m. The standard reports 0.011 to 2.83.
-The road has no lines below the band, which would be hills, nor above it: waves shorter than a tyre's print do not reach the
-wheel. It repeats after `length`. In place of a class its IRI may be given: G_d(n0) is then that of roads with this mean IRI.
+the geometric means of the classes; their limits are half and twice as much, and A/B is the limit of A and B. The waviness w is 2
+in the standard. A road is a sum of lines n_k = k / length, each with the amplitude sqrt(2 G_d(n_k) / length) and a phase of its
+own, from 0.01 to 10 cycles/m unless another band is given. The standard reports 0.011 to 2.83. The road has no lines below the
+band, which would be hills, nor above it: waves shorter than a tyre's print do not reach the wheel. It repeats after `length`. In
+place of a class, G_d(n0) itself may be given, or the IRI: G_d(n0) is then that of roads with this mean IRI.
 
 The standard leaves the coherence of two tracks to measurement. Here it is that of an isotropic surface, which the one spectrum
 determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J. Sound Vib.
-57, 89-100): tracks b apart have the cross-spectrum that integrates a surface spectrum (n^2 + m^2)^(-3/2) over m with cos(2 pi m
-b),
+57, 89-100): tracks b apart have the cross-spectrum that integrates a surface spectrum (n^2 + m^2)^(-(w+1)/2) over m with
+cos(2 pi m b),
 
-    coherency(n) = x K_1(x),    x = 2 pi n b,
+    coherency(n) = 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) = x K_1(x) for w = 2,    x = 2 pi n b,
 
 real, 1 for long waves and 0 for short ones. The right track is coherency times the left plus the rest of an independent one.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,17 +32,20 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields
 from models.common.errors import InputError, number_range
-from models.roads.iri import white_slope
+from models.roads.iri import slope_density
 from models.roads.road import Road, check_numbers
-from models.roads.spectrum import Spectrum, coherency
+from models.roads.spectrum import N0, Spectrum, coherency
 from models.vehicle.names import CLASSES
 
-N0 = 0.1  # cycle/m
 LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
 LENGTH = 1024.0  # m
 MOST_SEED = 2**63 - 1
 IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
-LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6), "factor": (-1e9, 1e9)}  # SI
+LIMITS = {  # SI
+    **{"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6), "factor": (-1e9, 1e9), "gd": (1e-12, 1.0)},
+    "waviness": (1.0, 4.0),
+}
+BAND_LIMITS = (1e-3, 100.0)  # cycle/m
 BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
 FEW = 10  # times; more, if evenly spaced, are faster by transform
 FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
@@ -48,25 +53,26 @@ MOST_KEPT = 200_000  # times whose sum is cached, 1.6 MB
 
 
 def roughness(road_class: str) -> float:
-    """Returns G_d(n0) of a class [m3]: its geometric mean.
+    """Returns G_d(n0) of a class [m3], its geometric mean, or of the limit of two, such as "A/B".
 
     Raises:
         InputError: the class does not exist.
     """
-    if len(road_class) != 1 or road_class not in CLASSES:
-        raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}")
-    return 16e-6 * 4.0 ** CLASSES.index(road_class)
+    known = [*CLASSES, *(f"{a}/{b}" for a, b in itertools.pairwise(CLASSES))]
+    if road_class not in known:
+        raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}, and limits such as A/B")
+    return 16e-6 * 4.0 ** CLASSES.index(road_class[0]) * (2.0 if "/" in road_class else 1.0)
 
 
-def roughness_by_iri(iri: float) -> float:
-    """Returns G_d(n0) of roads with this mean IRI [m/km], in m3: four times as much for twice the IRI.
+def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHEST, waviness: float = 2.0) -> float:
+    """Returns G_d(n0) [m3] of roads with this mean IRI [m/km], band [cycle/m] and waviness: four times as much for twice the IRI.
 
     Raises:
         InputError: no road has such an IRI.
     """
     if not IRI_LIMITS[0] <= iri <= IRI_LIMITS[1]:
         raise InputError(f"road iri = {iri:g} is not allowed; give {number_range(*IRI_LIMITS, 'm/km')}")
-    return white_slope(iri, LOWEST, HIGHEST) / (2 * np.pi * N0) ** 2
+    return slope_density(iri, lowest, highest, waviness) / (2 * np.pi * N0) ** 2
 
 
 def check_seed(seed: Any) -> int:
@@ -89,16 +95,20 @@ class Iso8608(Road):
     there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
 
     Attributes:
-        road_class: "A" to "H"; empty if the IRI is given.
+        road_class: "A" to "H", or a limit such as "A/B"; empty if `iri` or `gd` is given.
         seed: seed of the phases.
         speed: V [m/s].
         track_width: lateral distance from the right track to the left [m].
         length: distance after which it repeats [m]; another length is another road.
         factor: factor on the heights.
-        iri: mean IRI of such roads [m/km], before the factor, instead of a class; None if a class is given.
+        iri: mean IRI of such roads [m/km], before the factor, instead of a class; else None.
+        gd: G_d(n0) [m3], before the factor, instead of a class; else None.
+        waviness: w.
+        lowest, highest: spatial frequencies of the first and the last line [cycle/m].
 
     Raises:
-        InputError: an unknown class, a class and an IRI, a seed that is not an integer, another number beyond `LIMITS`.
+        InputError: an unknown class, more than one of class, IRI and G_d(n0), a band without lines, a seed that is not an
+            integer, another number beyond `LIMITS`.
     """
 
     road_class: str = "C"
@@ -108,14 +118,28 @@ class Iso8608(Road):
     length: float = LENGTH
     factor: float = 1.0
     iri: float | None = None
+    gd: float | None = None
+    waviness: float = 2.0
+    lowest: float = LOWEST
+    highest: float = HIGHEST
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.road_class and self.iri is not None:
-            raise InputError(f"a road of class = {self.road_class} and iri = {self.iri:g}; give one of them, for how rough it is")
-        _ = self.roughness
+        given = {name: value for name, value in self._rough.items() if value is not None}
+        if len(given) > 1:
+            several = " and ".join(
+                f"{name} = {value if isinstance(value, str) else f'{value:g}'}" for name, value in given.items()
+            )
+            raise InputError(f"a road of {several}; give one of them, for how rough it is")
         check_seed(self.seed)
-        check_numbers("road", self, LIMITS)
+        check_numbers("road", self, {name: limits for name, limits in LIMITS.items() if name != "gd" or self.gd is not None})
+        low, high = BAND_LIMITS
+        if not (low <= self.lowest < self.highest <= high and len(self.n) > 1):
+            band = f"{self.lowest:g}..{self.highest:g}"
+            raise InputError(
+                f"road band = {band} is not allowed; give two ends from {low:g} to {high:g} cycle/m, the lower first"
+            )
+        _ = self.roughness
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Sums the lines, from the road's own height at the start. A vehicle with one track drives on the left one."""
@@ -131,14 +155,15 @@ class Iso8608(Road):
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
-        """Class or IRI, roughness, seed, band, speed, track width, length, factor."""
+        """Class, IRI or G_d(n0), roughness, seed, band, speed, track width, length, factor."""
         return {
             "type": "iso8608",
-            **({"class": self.road_class} if self.iri is None else {"iri": self.iri}),
+            **{name: value for name, value in self._rough.items() if value is not None},
+            **({"waviness": self.waviness} if self.waviness != 2 else {}),
             "roughness": self.roughness * self.factor**2,
             "seed": self.seed,
-            "lowest": LOWEST,
-            "highest": HIGHEST,
+            "lowest": self.lowest,
+            "highest": self.highest,
             "speed": self.speed,
             "track_width": self.track_width,
             "length": self.length,
@@ -147,8 +172,11 @@ class Iso8608(Road):
 
     @property
     def words(self) -> str:
-        """Class or IRI, seed and speed: what tells it from other random roads."""
+        """Class, IRI or G_d(n0), seed and speed: what tells it from other random roads."""
         which = f"class {self.road_class}" if self.iri is None else f"IRI {self.iri:g} m/km"
+        which = which if self.gd is None else f"G_d(n0) {self.gd:g} m3"
+        which += f", waviness {self.waviness:g}" if self.waviness != 2 else ""
+        which += f", {self.lowest:g} to {self.highest:g} cycle/m" if (self.lowest, self.highest) != (LOWEST, HIGHEST) else ""
         return f"random, {which}, seed {self.seed}, speed {self.speed:g} m/s"
 
     def scaled(self, factor: float) -> "Iso8608":
@@ -158,12 +186,21 @@ class Iso8608(Road):
     @property
     def roughness(self) -> float:
         """G_d(n0), before the factor [m3]."""
-        return roughness(self.road_class) if self.iri is None else roughness_by_iri(self.iri)
+        if self.gd is not None:
+            return self.gd
+        if self.iri is not None:
+            return roughness_by_iri(self.iri, self.lowest, self.highest, self.waviness)
+        return roughness(self.road_class)
+
+    @property
+    def _rough(self) -> dict[str, float | str | None]:
+        """Returns the three ways to give how rough it is, of which one has a value."""
+        return {"class": self.road_class or None, "iri": self.iri, "gd": self.gd}
 
     @property
     def n(self) -> Array:
         """Spatial frequencies of its lines [cycle/m], shape (K,)."""
-        return _frequencies(self.length)
+        return _frequencies(self.length, self.lowest, self.highest)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -172,10 +209,10 @@ class Iso8608(Road):
 
     @property
     def spectrum(self) -> Spectrum:
-        """The spectrum of its class, or of its IRI."""
+        """Its spectrum."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
-        return Spectrum(density, (low, high), self.speed, self.length, self.track_width)
+        return Spectrum(density, (low, high), self.speed, self.length, self.track_width, self.waviness)
 
     @cached_property
     def _left(self) -> Array:
@@ -197,10 +234,10 @@ class Iso8608(Road):
         """Returns the complex amplitude of every line [m], or of its derivative [m/s], shape (K,)."""
         if rate:
             return self._lines(side, False) * (2j * np.pi * self.speed * self.n)
-        amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -2 / self.length)
+        amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -self.waviness / self.length)
         if side != "right":
             return amplitudes * self._left
-        alike = _coherency_of_lines(self.length, self.track_width)
+        alike = _coherency_of_lines(self.length, self.lowest, self.highest, self.track_width, self.waviness)
         return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
 
     def _sum(self, side: str, rate: bool, t: Array) -> Array:
@@ -226,15 +263,15 @@ def long_enough(distance: float) -> float:
 
 
 @lru_cache(maxsize=4)
-def _frequencies(length: float) -> Array:
-    n = np.arange(math.ceil(LOWEST * length), math.floor(HIGHEST * length) + 1) / length
+def _frequencies(length: float, lowest: float, highest: float) -> Array:
+    n = np.arange(math.ceil(lowest * length), math.floor(highest * length) + 1) / length
     n.flags.writeable = False
     return n
 
 
 @lru_cache(maxsize=64)
-def _coherency_of_lines(length: float, width: float) -> Array:
-    return coherency(_frequencies(length), width)
+def _coherency_of_lines(length: float, lowest: float, highest: float, width: float, waviness: float) -> Array:
+    return coherency(_frequencies(length, lowest, highest), width, waviness)
 
 
 @lru_cache(maxsize=16)

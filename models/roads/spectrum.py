@@ -8,17 +8,20 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 
+N0 = 0.1  # cycle/m, at which the roughness of a road is given
+
 
 @dataclass(frozen=True)
 class Spectrum:
     """Spectrum of a random road that is driven at constant speed.
 
     Attributes:
-        density: one-sided, of the road's vertical velocity, which is white within the band [(m/s)^2/Hz].
+        density: one-sided, of the road's vertical velocity at `N0` [(m/s)^2/Hz]; with waviness 2 the velocity is white.
         band: lowest and highest frequency [rad/s].
         speed: V [m/s].
         length: distance after which the road repeats: it is a sum of lines, 1 / length apart [m].
         track_width: lateral distance from the right track to the left [m].
+        waviness: exponent w of the displacement's spectrum, n^-w.
     """
 
     density: float
@@ -26,23 +29,37 @@ class Spectrum:
     speed: float
     length: float
     track_width: float
+    waviness: float = 2.0
 
     def coherency(self, omega: Array) -> Array:
         """Returns the coherency of the two tracks at angular frequencies [rad/s], shape like omega."""
-        return coherency(omega / (2 * np.pi * self.speed), self.track_width)
+        return coherency(omega / (2 * np.pi * self.speed), self.track_width, self.waviness)
+
+    def slope(self, omega: Array) -> Array:
+        """Returns the magnitude of the velocity relative to that at `N0`, shape like omega: 1 for waviness 2."""
+        return slope_power(omega / (2 * np.pi * self.speed), self.waviness) ** 0.5
 
 
-def coherency(n: Array, width: float) -> Array:
-    """Returns the coherency of two tracks of an isotropic surface, x K_1(x) with x = 2 pi n b (see `iso8608`), shape like n.
+def slope_power(n: Array, waviness: float) -> Array:
+    """Returns the spectral density of a road's slope relative to that at `N0`, (n / n0)^(2 - w), at n [cycle/m]."""
+    return (np.asarray(n) / N0) ** (2 - waviness)
+
+
+def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
+    """Returns the coherency of two tracks of an isotropic surface (see `iso8608`), shape like n.
+
+    It is 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) with x = 2 pi n b; for w = 2, x K_1(x).
 
     Args:
         n: spatial frequencies [cycle/m].
         width: distance between the tracks, b [m].
+        waviness: w.
     """
     from scipy import special  # a tenth of a second
 
     x = 2 * np.pi * np.asarray(n) * width
-    return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)
+    half, there = waviness / 2, np.where(x > 0, x, 1.0)
+    return np.where(x > 0, 2 / special.gamma(half) * (there / 2) ** half * special.kv(half, there), 1.0)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
@@ -58,10 +75,11 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 
 
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """Returns the share of the two independent sources of a road in every wheel's track, shape (F, r, 2)."""
+    """Returns the two independent sources of a road in every wheel's track, relative to its velocity at `N0`, shape (F, r, 2)."""
     alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
-    return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
+    shares = np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
+    return shares if road.waviness == 2 else shares * road.slope(omega)[:, None, None]
 
 
 def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:

@@ -26,12 +26,12 @@ def test_expected_power_is_that_of_responses(reality):
         assert allowed < 0.2 * abs(expected.mean[name])
 
 
-def linear_metrics(vehicle, designed, road_class, h, window, seeds):
+def linear_metrics(vehicle, designed, road_class, h, window, seeds, **more):
     """The metrics of linear responses over roads of these seeds, shape (N,) each, and what is expected of them."""
     first = round(settling_time(vehicle, designed) / h)
     time = np.arange(first + round(window / h)) * h
     length = long_enough(20.0 * float(time[-1]))
-    roads = [Iso8608(road_class, seed, 20.0, track_width(vehicle), length) for seed in seeds]
+    roads = [Iso8608(road_class, seed, 20.0, track_width(vehicle), length, **more) for seed in seeds]
     meter = Meter([vehicle] * len(roads), h, first)
     meter.update(np.moveaxis(sampled_responses(vehicle, designed, roads, time).values, 0, -1))
     expected = expect(vehicle, designed, roads[0].spectrum, h, window)
@@ -40,13 +40,17 @@ def linear_metrics(vehicle, designed, road_class, h, window, seeds):
 
 
 @pytest.mark.parametrize(
-    ("name", "controller", "road_class"),
-    [("quarter_car", "passive", "D"), ("quarter_car", "I", "E"), *attacks([("half_car", "II", "E")])],
+    ("name", "controller", "road_class", "more"),
+    [
+        ("quarter_car", "passive", "D", {}),
+        ("quarter_car", "I", "E", {}),
+        *attacks([("half_car", "II", "E", {}), ("full_car", "passive", "E", {"waviness": 2.5, "lowest": 0.02, "highest": 5.0})]),
+    ],
 )
-def test_linear_response_over_many_seeds(name, controller, road_class):
+def test_linear_response_over_many_seeds(name, controller, road_class, more):
     """On roads that tyres leave, too, mean squares of linear responses are those expected, within the spread that is expected."""
     vehicle = read_vehicle(name)
-    found, expected = linear_metrics(vehicle, Designer(vehicle).design(controller), road_class, 4e-3, 8.0, range(64))
+    found, expected = linear_metrics(vehicle, Designer(vehicle).design(controller), road_class, 4e-3, 8.0, range(64), **more)
     for metric, mean in expected.mean.items():
         if metric in expected.spread and mean:
             # The spread of a mean square is twice that of its root. 3.5 of the mean's: 99.95 %; a start with 1 % missing

@@ -30,6 +30,7 @@ ROADS = [
     *(obstacle() for name, obstacle in OBSTACLES.items() if name != "flat"),
     Profile(X, 0.01 * np.stack([np.sin(X), np.cos(2 * X)], axis=-1), 10.0),
     Iso8608("A", 1, 15.0).scaled(0.3),
+    Iso8608("", 2, 20.0, 1.5, gd=32e-6, waviness=2.6, lowest=0.011, highest=2.83),
     WattsHump().scaled(0.01),
 ]
 
@@ -108,14 +109,36 @@ def test_velocity_is_the_derivative(road, side):
 
 
 def test_coherency_is_the_surfaces():
-    """x K_1(x) is the integral over all transverse waves of the surface spectrum (n^2 + m^2)^(-3/2): by plain quadrature."""
+    """It is the integral over all transverse waves of the surface spectrum (n^2 + m^2)^(-(w + 1)/2): by plain quadrature."""
     m = np.linspace(-400, 400, 800_001)
-    for n, width in ((0.1, 1.5), (0.5, 1.0), (1.0, 0.3)):
-        surface = (n**2 + m**2) ** -1.5
+    for n, width, waviness in ((0.1, 1.5, 2.0), (0.5, 1.0, 2.0), (1.0, 0.3, 2.0), (0.3, 1.5, 2.6), (0.3, 1.5, 1.5)):
+        surface = (n**2 + m**2) ** (-(waviness + 1) / 2)
         ratio = np.sum(surface * np.cos(2 * np.pi * m * width)) / np.sum(surface)
-        assert coherency(np.array([n]), width)[0] == pytest.approx(ratio, abs=1e-4)  # the ends of the quadrature
+        assert coherency(np.array([n]), width, waviness)[0] == pytest.approx(ratio, abs=1e-4)  # the ends of the quadrature
     assert special.k1(1.0) == pytest.approx(coherency(np.array([1.0]), 1 / (2 * np.pi))[0])
     assert coherency(np.array([1.0]), 0.0)[0] == 1.0
+
+
+def test_roughness_as_the_literature_has_it():
+    """A class and its G_d(n0) give the same road to the last bit, a limit that of twice the lower class; spectra are as given."""
+    vehicle, t = read_vehicle("full_car"), np.linspace(0, 5, 5001)
+
+    def heights(text, side="right"):
+        return choose_road(text).build(vehicle, 20.0, 3, 100.0).displacement(t, side)
+
+    assert np.array_equal(heights("iso8608:class=D"), heights("iso8608:gd=1024e-6"))
+    assert np.array_equal(heights("iso8608:class=A/B"), heights("iso8608:gd=32e-6"))
+    road = choose_road("iso8608:gd=64e-6:waviness=2.6:band=0.02..3").build(vehicle, 20.0, 1, 1e4)
+    x = np.arange(0, road.length, 0.05)
+    n = np.fft.rfftfreq(len(x), 0.05)
+    for side in ("left", "right"):
+        density = 2 * np.abs(np.fft.rfft(road.displacement(x / 20.0, side)) / len(x)) ** 2 * road.length
+        for low, high in ((0.03, 0.05), (0.1, 0.2), (1.0, 1.5)):
+            part = (n > low) & (n < high)
+            # The left track has these amplitudes; the right one's are random where it is neither alike nor independent
+            allowed = 1e-9 if side == "left" else 0.05
+            assert np.mean(density[part] / (64e-6 * (n[part] / 0.1) ** -2.6)) == pytest.approx(1, abs=allowed)
+        assert density[(n > 3.1) | ((n < 0.0199) & (n > 0))].max() < 1e-12 * density.max()
 
 
 def test_profile_from_a_file(tmp_path):
@@ -397,6 +420,12 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.crg:height_unit=mm", "contains its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
         ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
+        ("iso8608:gd=32e-6:iri=2", "a road of iri = 2 and gd = 3.2e-05; give one of them"),
+        ("iso8608:gd=32 mm", "unit of m3 is expected"),
+        ("iso8608:class=A/C", "unknown road class 'A/C'; ISO 8608 has A, B"),
+        ("iso8608:waviness=9", "road waviness = 9 is not allowed; give a number from 1 to 4"),
+        ("iso8608:band=3", "give two ends, as in band=0.011..2.83"),
+        ("iso8608:band=2..0.1", "road band = 2..0.1 is not allowed; give two ends from 0.001 to 100 cycle/m, the lower first"),
         ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
     ],
 )
@@ -480,7 +509,7 @@ def test_description_is_enough(road):
         ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
         ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
-        ({**Iso8608().describe(), "lowest": 0.02}, "lowest was 0.02, and is 0.01 here"),
+        ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was 0.001, and is 0.000256 here"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list, each item a number"),
         ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
     ],
