@@ -1,13 +1,13 @@
 """Full car: heave, pitch and roll of a body on four wheels. Its equations are in `kinds/rigid_body.py`.
 
 Its fourteen states hold the tyre deflections as three modes, which a rigid body can follow, and not as four wheels: the fourth
-mode, the twist, is fixed by the suspension deflections and the twist of the road.
+mode, the twist, is fixed by the suspension deflections and the twist of the road. Different tracks on the axles change it alone.
 """
 
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.car import Car, lateral
+from models.kinds.car import Car, lateral, track
 from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
@@ -22,14 +22,15 @@ MODES = {
     "pitch": np.array([-1.0, -1.0, 1.0, 1.0]) / 4,
     "roll": np.array([1.0, -1.0, 1.0, -1.0]) / 4,
 }
-TWIST = np.array([1.0, -1.0, -1.0, 1.0])
+TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # of four wheels on tracks of equal width
 
 
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
-    Parameter("track", "m", "b, from a left wheel to the right one"),
+    Parameter("track", "m", "b, from a left wheel to the right one, on both axles", optional=True),
+    *rigid_body.per_axle("track", "m", "b, in place of `track` on one axle", optional=True),
     *rigid_body.per_axle("axle_distance", "m", "l, from the centre of mass to the axle"),
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),
@@ -53,7 +54,8 @@ PARAMETERS = (
 
 
 def _body(p: Parameters) -> RigidBody:
-    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, lateral(side, p)) for axle in AXLES for side in SIDES)
+    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, lateral(f"{axle}_{side}", p)) for axle in AXLES for side in SIDES)
+    widths = np.repeat([track(axle, p) for axle in AXLES], 2)
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
     pitch_arm, roll_arm = links.arms(p)
@@ -63,7 +65,7 @@ def _body(p: Parameters) -> RigidBody:
         p["pitch_inertia"],
         p["roll_inertia"],
         tyre_modes=modes,
-        twist=TWIST,
+        twist=TWIST * (widths.max() / widths),
         bars=bars,
         pitch_arm=pitch_arm,
         roll_arm=roll_arm,
@@ -74,7 +76,7 @@ def _body(p: Parameters) -> RigidBody:
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
-    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
+    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], max(track(axle, p) for axle in AXLES), "track")
     links.check_links(p)
     rigid_body.check_stands(_body(p))
 

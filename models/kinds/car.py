@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from models.common.errors import InputError
 from models.kinds import links, rigid_body, signals
 from models.kinds.kind import BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
@@ -15,9 +16,21 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
-def lateral(side: str, p: Parameters) -> float:
-    """Returns the distance of a side's wheels to the left of the vehicle's middle [m]."""
-    return p["track"] / 2 if side == "left" else -p["track"] / 2
+def track(axle: str, p: Parameters) -> float:
+    """Returns the distance of an axle's wheels [m], from `track_AXLE` or, if that is not given, from `track`.
+
+    Raises:
+        InputError: neither is given.
+    """
+    if (own := p.get(f"track_{axle}", p.get("track"))) is None:
+        raise InputError(f"parameter 'track' [m] is missing, from a left wheel to the right one; give it, or track_{axle}")
+    return own
+
+
+def lateral(corner: str, p: Parameters) -> float:
+    """Returns the distance of a corner to the left of the vehicle's middle [m]."""
+    axle, _, side = corner.partition("_")
+    return track(axle, p) / 2 if side == "left" else -track(axle, p) / 2
 
 
 @dataclass(frozen=True)
@@ -125,7 +138,7 @@ class Car:
                     tyre_deflection=f"tyre_deflection_{corner}",
                     behind=rigid_body.wheelbase if corner.startswith("rear") else nowhere_else,
                     side=side,
-                    lateral=partial(lateral, side) if side else nowhere_else,
+                    lateral=partial(lateral, corner) if side else nowhere_else,
                 )
                 for corner, side in sides.items()
             ),

@@ -92,7 +92,10 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
     own = [p[f"unsprung_mass_{axle}"] * acceleration * p.get(f"wheel_centre_height_{axle}", 0.0) for axle in AXLES]
     if way == ROLL_LOAD.name:
         past = [share * force * p.get(part.name, 0.0) for share, part in zip(_shares(p), ROLL_CENTRES, strict=True)]
-        gained = {axle: (link + 2 * wheel) / p["track"] for axle, link, wheel in zip(AXLES, past, own, strict=True)}
+        gained = {
+            axle: (link + 2 * wheel) / p.get(f"track_{axle}", p.get("track", 0.0))
+            for axle, link, wheel in zip(AXLES, past, own, strict=True)
+        }
         on_wheels = {name: gained[name.split("_")[0]] * (1.0 if name.endswith("left") else -1.0) for name in corners}
         on_body = {ROLL_LOAD.name: -sum(past)}
     else:

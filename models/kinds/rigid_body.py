@@ -17,7 +17,9 @@ Four wheels on a rigid body are one too many for this. Let n be the twist that n
 n' (d + t + z_r) = 0 for ever: the twist of the road acts as a displacement, not only as a velocity. So the states hold the tyre
 deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
 
-    t = P+ (P t) - N (d + z_r),     N = n n' / n'n.
+    t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1,
+
+which with P n = 0, as on axles of equal track, are E = P+ and N = n n' / n'n.
 
 Every wheel carries its own vertical slide, and the struts stand upright at rest, with their upper ends at the height of the
 centre of mass. So the preloads add nothing to the linear model, and the MJCF departs from it with the square of the amplitude.
@@ -119,7 +121,7 @@ class RigidBody:
         pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2].
         roll_inertia: moment of inertia about the longitudinal axis [kg m2]; None for a body that does not roll.
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
-        twist: n, shape (c,); zero if the body can follow every motion of the wheels.
+        twist: n, with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
         bars: anti-roll bars of the body.
         pitch_arm, roll_arm: heights of the centre of mass over the axes that links give it [m]; without one it turns about its
             centre of mass, and its weight has no moment.
@@ -216,8 +218,11 @@ def linear_model(
     # Rows of the identity pick out the parts of the state.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
 
-    N = np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
-    t = np.linalg.pinv(P) @ Pt - N @ d
+    E, N = np.linalg.pinv(P), np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
+    if (P @ body.twist).any():
+        E, e = np.split(np.linalg.inv(np.vstack([P, body.twist])), [p], axis=1)
+        N = e * body.twist
+    t = E @ Pt - N @ d
     d_dot = S @ q_dot - z_u_dot
     f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # and u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])

@@ -40,6 +40,7 @@ from tests.support.shared import designed
 KINDS = ("quarter_car", "half_car", "full_car")
 FRONT, REAR = 24000.0, 9000.0  # N m/rad, of a passenger car
 BARS = f"anti_roll_stiffness_front = {FRONT}\nanti_roll_stiffness_rear = {REAR}"
+TRACKS = "track_front = 1.387\ntrack_rear = 1.2"  # m; further apart than on a car, so that a confusion shows
 ON_THE_GROUND = "roll_centre_height_front = 0.0\nroll_centre_height_rear = 0.0"
 AXES = "roll_centre_height_front = 0.04\nroll_centre_height_rear = 0.13\npitch_centre_height = 0.31"
 ANTI = "anti_dive_front = 0.35\nanti_lift_rear = 0.2\nanti_squat_rear = 0.6\nanti_lift_front = 0.1"
@@ -102,10 +103,17 @@ def at_rest(vehicle: Vehicle, *texts: str) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("kind", "lines", "index"),
     [
-        ("full_car", BARS, 1),
+        ("full_car", f"{BARS}\n{TRACKS}", 1),
         ("half_car", LINKS["half_car"], 1),
         ("full_car", LINKS["full_car"], 1),
-        *attacks([("full_car", BARS, 2), ("half_car", LINKS["half_car"], 0), ("full_car", LINKS["full_car"], 2)]),
+        *attacks(
+            [
+                ("full_car", BARS, 2),
+                ("full_car", f"{LINKS['full_car']}\n{TRACKS}", 0),
+                ("half_car", LINKS["half_car"], 0),
+                ("full_car", LINKS["full_car"], 2),
+            ]
+        ),
     ],
 )
 def test_equations_are_the_physics(kind, lines, index):
@@ -115,6 +123,7 @@ def test_equations_are_the_physics(kind, lines, index):
 
 CASES: dict[str, Any] = {  # a vehicle, a road with loads, and the error that rounding leaves in a step
     "bars": (lambda: with_parameters("full_car", BARS), "bump:height=0.05:track=left", 1e-12),
+    "tracks": (lambda: with_parameters("full_car", f"{LINKS['full_car']}\n{TRACKS}"), HARD["full_car"], 1e-12),
     **{f"links {kind}": (lambda kind=kind: with_parameters(kind, LINKS[kind]), HARD[kind], 1e-12) for kind in LINKS},
     "links on the ground": (lambda: with_parameters("full_car", f"{ON_THE_GROUND}\n{ANTI}"), HARD["full_car"], 1e-12),
     "wheels' own inertia": (lambda: with_parameters("full_car", f"{ANTI}\n{WHEELS}"), HARD["full_car"], 1e-12),
@@ -246,8 +255,9 @@ def stiffness(p) -> list[float]:
     """The stiffness of each axle against roll, of springs, bar and tyres in series [N m/rad]."""
     found = []
     for axle in ("front", "rear"):
-        springs = p[f"suspension_stiffness_{axle}"] * p["track"] ** 2 / 2 + p[f"anti_roll_stiffness_{axle}"]
-        tyres = p[f"tyre_stiffness_{axle}"] * p["track"] ** 2 / 2
+        track = p.get(f"track_{axle}") or p["track"]
+        springs = p[f"suspension_stiffness_{axle}"] * track**2 / 2 + p[f"anti_roll_stiffness_{axle}"]
+        tyres = p[f"tyre_stiffness_{axle}"] * track**2 / 2
         found.append(springs * tyres / (springs + tyres))
     return found
 
@@ -270,6 +280,18 @@ def test_a_car_rolls_about_the_ground_as_the_books_say():
     for i, (g, off) in enumerate(((0.3, 3e-3), (0.01, 2e-5))):  # sin(phi) is phi - phi^3 / 6; and what still moves after 12 s
         rolled = sum(share * runs.run(i)[name][-1] for name, share in parts.items())
         assert math.degrees(rolled) * 0.3 / g == pytest.approx(closed, rel=off)
+
+
+def test_axles_of_different_track_are_springs_in_parallel():
+    """At 0.3 g a sedan with tracks of 1.387 and 1.364 m rolls by m_s a h over both axles' stiffness; no `track` is needed."""
+    text = read_vehicle("full_car").text.replace("track = 1.51", "track_front = 1.387\ntrack_rear = 1.364")
+    car = parse_vehicle(text.replace("[parameters]", f"[parameters]\n{BARS}", 1))
+    p = car.parameters
+    closed = math.degrees(0.3 * p["sprung_mass"] * GRAVITY * p["centre_height"] / sum(stiffness(p)))
+    road = choose_road("flat + corner:g=0.3").build(car, 20.0, 0, 40.0)
+    assert static_angles(car, designed(car, "passive"), road, 9.0)[ROLL] == pytest.approx(closed, rel=1e-12)
+    wider = with_parameters("full_car", BARS)
+    assert static_angles(wider, designed(wider, "passive"), road, 9.0)[ROLL] < 0.95 * closed
 
 
 @pytest.mark.parametrize("index", range(3))
@@ -437,6 +459,7 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
         ("full_car", f"{ON_THE_GROUND}\ncentre_height = 3.0", ["falls over as it rolls", "N m/rad", "stiffer", "roll centres"]),
         ("half_car", "pitch_centre_height = -2.0\ncentre_height = 30.0", ["falls over as it pitches", "pitch centre"]),
         ("half_car", ON_THE_GROUND, ["only heaves and pitches", "take a full_car"]),
+        ("full_car", "track_front = -1.0", ["track_front = -1.0"]),
         ("full_car", "anti_dive_front = 4.0", ["anti_dive_front = 4.0", "from -2 to 3"]),
         ("full_car", "wheel_centre_height_rear = -0.1", ["wheel_centre_height_rear", "from 0 to 3 m"]),
         ("quarter_car", "tyre_damping = -1.0", ["tyre_damping = -1.0 is not allowed; give"]),

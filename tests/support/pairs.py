@@ -45,6 +45,7 @@ FEATURES: dict[str, dict[str, str]] = {
         "bars": "[parameters]\nanti_roll_stiffness_front = 2e4",
         "roll centres": "[parameters]\nroll_centre_height_front = 0.05\nroll_centre_height_rear = 0.1",
         "anti-dive": "[parameters]\nanti_dive_front = 0.3\nanti_squat_rear = 0.2",
+        "tracks": "[parameters]\ntrack_front = 1.387\ntrack_rear = 1.364",
         "pitch centre": "[parameters]\npitch_centre_height = 0.3",
     },
     "curves": {
