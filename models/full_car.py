@@ -30,7 +30,7 @@ PARAMETERS = (
     Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
     Parameter("track", "m", "b, from a left wheel to the right one, on both axles", optional=True),
-    *rigid_body.per_axle("track", "m", "b, in place of `track` on one axle", optional=True),
+    *rigid_body.per_axle("track", "m", "b of one axle, instead of `track`", optional=True),
     *rigid_body.per_axle("axle_distance", "m", "l, from the centre of mass to the axle"),
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files: the one reader of roads, rigs, curves, loads and families.
+"""Tables of numbers in text files, spreadsheets and MATLAB files: the one reader of roads, rigs, curves, loads and families.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a decimal
 comma; a table has one decimal mark and no thousands marks. A comment begins with `#`, or its line with `%` or `//`. Just above
@@ -9,9 +9,13 @@ the numbers are names and units of the columns: `force [kN]`, `height_cm`, `left
 import csv
 import math
 import re
+import warnings
 from array import array
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +151,58 @@ class NumberTable:
                 raise InputError(f"{called}, and none of {listing(signs)}; {self.give}")
         numbers = self.numbers()[0] * [heading.scale(heading.quantity) for heading in headings]
         return {heading.quantity: column for heading, column in zip(headings, numbers.T, strict=True)}
+
+
+def table_text(path: Path) -> str:
+    """Returns a file's text; of a spreadsheet (.xlsx) its first sheet, of a MATLAB file (.mat) its arrays, as lines with tabs.
+
+    Raises:
+        InputError: the package for spreadsheets is not installed, or a MATLAB file has no table.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".xlsx":
+        try:
+            from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
+        except ImportError:
+            raise InputError("a spreadsheet needs python-calamine; pip install 'roadproof[excel]', or save it as .csv") from None
+        return _tabbed(CalamineWorkbook.from_path(str(path)).get_sheet_by_index(0).to_python())
+    return _tabbed(_matlab_rows(path.read_bytes())) if suffix == ".mat" else path.read_text(encoding="utf-8-sig")
+
+
+def _tabbed(rows: Iterable[Sequence[Any]]) -> str:
+    return "\n".join("\t".join(" ".join(str(cell).split()) for cell in row) for row in rows)
+
+
+def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
+    """Returns names and columns of the vectors in a MATLAB file, or the rows of its only matrix."""
+    arrays = {name: value for name, value in matlab_variables(content).items() if not name.startswith("__")}
+    while len(arrays) == 1 and (value := next(iter(arrays.values()))).dtype.names and value.shape == (1, 1):  # a struct
+        arrays = {name: value[name][0, 0] for name in value.dtype.names}
+    columns = {name: value for name, value in arrays.items() if value.dtype.kind in "fiu" and value.ndim == 2 and value.size > 1}
+    vectors = {name: value.ravel() for name, value in columns.items() if 1 in value.shape}
+    if len(columns) == 1 and not vectors:
+        return np.asarray(next(iter(columns.values())), dtype=float).tolist()
+    if not vectors or len({len(value) for value in vectors.values()}) > 1:
+        sizes = ", ".join(f"{name} {'x'.join(map(str, value.shape))}" for name, value in arrays.items()) or "nothing"
+        raise InputError(f"contains {sizes}; save vectors of equal length, such as distance and height, or one matrix")
+    return [[*vectors], *np.column_stack([value.astype(float) for value in vectors.values()]).tolist()]
+
+
+def matlab_variables(content: bytes) -> dict[str, Any]:
+    """Returns the variables of a MATLAB file, version 4 to 7, by name, with MATLAB's own beginning with two underscores.
+
+    Raises:
+        InputError: another kind of file, or version 7.3.
+    """
+    from scipy.io import loadmat
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of two objects, which have the same name for SciPy
+            return loadmat(BytesIO(content))
+    except NotImplementedError as error:
+        raise InputError("is of version 7.3, which is HDF5 and cannot be read; save it in MATLAB with '-v7'") from error
+    except Exception as error:
+        raise InputError(f"is not a MATLAB file, or damaged ({error}); write it in MATLAB by save, with '-v7'") from error
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:

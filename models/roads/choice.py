@@ -25,9 +25,9 @@ UNITS = {  # of numbers of roads; all others are lengths
     "phase": "deg", "iri": "m/km", "gd": "m3", "waviness": "", "band": "cycle/m",
 }  # fmt: skip
 RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # settings of a random road
-TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
+TABLE = ("distance_unit", "height_unit", "unit", "separator", "columns", "step")  # of a file with a table
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
-READ = "a .csv or .txt file has columns of distance and height, a .crg file is OpenCRG"
+READ = "a .csv, .txt, .xlsx or .mat file has columns of distance and height, a .erd file is ERD, a .crg file is OpenCRG"
 Measured = TypeVar("Measured", Profile, Surface)
 RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
 

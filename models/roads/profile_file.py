@@ -1,4 +1,8 @@
-"""Measured roads from text files: distance and height in any columns, separators, headings and units."""
+"""Measured roads from files: distance and height in any columns, separators, headings and units; or heights at a constant step.
+
+ERD is the format of the University of Michigan Transportation Research Institute, in which LTPP and ProVAL share profiles: a
+header of keywords, then heights at a constant step, of one or two tracks.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -9,17 +13,19 @@ import numpy as np
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.quantities import Heading, check_unit_options
-from models.common.table import SEPARATORS, NumberTable, find_table
+from models.common.table import SEPARATORS, NumberTable, find_table, table_text
+from models.roads.load_choice import setting
 from models.roads.profile import Profile, check_points
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
 UNITS = {"distance_unit": "distance", "height_unit": "height"}
-COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}")
+COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
+ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
 SAY = "give the columns, as in :columns=1,3 or :columns=1,3,4, or correct the headings, or begin other lines with #"
 A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
-FORMAT = "give two columns, distance and height [m], or three, distance, left and right"
+FORMAT = "give two columns, distance and height [m], or three, distance, left and right; or heights alone, with :step=0.25"
 
 
 def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = None) -> Profile:
@@ -28,20 +34,27 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
     Args:
         speed: vehicle speed [m/s].
         settings: values by name. `distance_unit` and `height_unit` are for headings without a unit, by default m. `separator` is
-            one of `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1.
+            one of `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1;
+            with a `step` [m], the constant spacing of the rows, of height, or left and right. `unit` is `height_unit`.
 
     Raises:
         InputError: a setting is wrong, the file cannot be read, or its numbers do not make a road. The message has file and line.
     """
     given = dict(settings or {})
+    if "unit" in given:
+        given["height_unit"] = given.pop("unit")
     check_unit_options(given, UNITS)
     if given.get("separator", "comma") not in SEPARATORS:
         raise InputError(f"separator = {given['separator']!r} is unknown; give one of {listing(SEPARATORS)}")
-    if not COLUMNS.fullmatch(given.get("columns", "1,2")):
-        example = "two or three numbers from 1, as in columns=1,3 or columns=1,3,4"
+    if not COLUMNS.fullmatch(given.get("columns", "1,2")) or ("step" not in given and "," not in given.get("columns", ",")):
+        example = "two or three numbers from 1, as in columns=1,3 or columns=1,3,4, or with :step one or two"
         raise InputError(f"columns = {given['columns']!r} is not allowed; give {example}")
     with reading(path, "road file", FORMAT):
-        return _profile(path.read_text(encoding="utf-8-sig"), speed, str(path), given)
+        text = table_text(path)
+        if text.startswith(ERD):
+            text, step = erd_text(text)
+            given = {"step": step} | given
+        return _profile(text, speed, str(path), given)
 
 
 def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> Profile:
@@ -49,12 +62,20 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     table = find_table(text, FORMAT, given.get("separator", ""), (wanted or [0])[0])
     headings = table.headings(("m",), optional=True)
     headings += [Heading(column=i + 1) for i in range(table.count, max(wanted, default=0) + 1)]
-    used = choose_columns(table, headings, wanted)
+    used = choose_columns(table, headings, wanted, "step" in given)
     points, lines = table.numbers(used, ragged=bool(wanted))
+    options = ("distance_unit", "height_unit", "height_unit")["step" in given :]
     scales = [
         headings[column].scale("distance", option, given.get(option, ""), "m")
-        for column, option in zip(used, ("distance_unit", "height_unit", "height_unit"), strict=False)
+        for column, option in zip(used, options, strict=False)
     ]
+    if "step" in given:
+        step = setting("step", given["step"], "m")
+        if not step > 0:
+            raise InputError(f"step = {given['step']!r} is not allowed; give the spacing of the heights, as in step=0.25")
+        heights = points[:, [0, -1]] * [scales[0], scales[-1]]
+        check_points(step * np.arange(len(points)), heights, lambda i: f"line {lines[i]}")
+        return Profile(step * np.arange(len(points)), heights, speed, source)
     if len(used) == 3 and table.separator == "," and not (given.keys() & {"separator", "columns"} or headings[used[1]].name):
         _check_commas(table)
     distance, heights = points[:, 0] * scales[0], points[:, [1, -1]] * [scales[1], scales[-1]]
@@ -68,11 +89,14 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     return Profile(distance, heights, speed, source)
 
 
-def choose_columns(table: NumberTable, headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
+def choose_columns(
+    table: NumberTable, headings: Sequence[Heading], wanted: Sequence[int], stepped: bool = False
+) -> Sequence[int]:
     """Returns the columns of distance and height, or distance, left and right, from 0: by their headings, else by their order.
 
     Args:
         wanted: the requested columns, from 0; empty for none.
+        stepped: True if rows are at a constant step, so that there is no column of distance.
 
     Raises:
         InputError: headings contradict the columns or their order, or are ambiguous, or there are not two or three columns.
@@ -82,6 +106,14 @@ def choose_columns(table: NumberTable, headings: Sequence[Heading], wanted: Sequ
         if names.count(name) > 1:
             texts = " and ".join(f"{one.column}, {quoted(one.text)}" for one in headings if one.quantity == name)
             raise InputError(f"columns {texts}, are both {name}; {SAY}")
+    if stepped:
+        heights = [names.index(name) for name in ("left", "right", "height") if name in names]
+        used = wanted or heights[:2] or range(len(headings))
+        if len(used) > 2 or (not wanted and "distance" in names):
+            raise InputError(
+                "a step was given, and there are distances or more than two columns of heights; give :columns=2, or no step"
+            )
+        return used
     if not wanted and {"distance", "left", "right"} <= {*names}:
         return [names.index(name) for name in ("distance", "left", "right")]
     if not wanted and {"distance", "height"} <= {*names} and not {"left", "right"} & {*names}:
@@ -98,6 +130,27 @@ def choose_columns(table: NumberTable, headings: Sequence[Heading], wanted: Sequ
             role = f"the height of the {allowed[1]} track" if len(allowed) == 2 else allowed[0]
             raise InputError(f"{column}, and would be read as {role}; {SAY}{A_RIG}")
     return used
+
+
+def erd_text(text: str) -> tuple[str, str]:
+    """Returns the numbers of an ERD file as a table with headings, and its step with the unit.
+
+    Raises:
+        InputError: binary numbers, or a header without sizes or end.
+    """
+    header, end, numbers = re.split(r"^(END)\s*$", text, maxsplit=1, flags=re.MULTILINE) if "\nEND" in text else (text, "", "")
+    lines = header.splitlines()
+    sizes = [part.strip() for part in lines[1].split(",")] if len(lines) > 1 else []
+    if not end or len(sizes) < 6:
+        raise InputError("is an ERD file without a second line of sizes, or without END; export the profile as text")
+    if sizes[4] != str(IN_TEXT):
+        raise InputError(f"is an ERD file whose numbers are binary (KEYNUM {sizes[4]}); export it with numbers as text, KEYNUM 5")
+    values = {line[:FIELD].strip(): line[FIELD:] for line in lines[2:]}
+    fields = range(0, int(sizes[0]) * FIELD, FIELD)
+    names, units = ([values.get(keyword, "")[i : i + FIELD].strip() for i in fields] for keyword in ("SHORTNAM", "UNITSNAM"))
+    names = {1: ["height"], 2: ["left", "right"]}.get(len(names), names)
+    headings = [f"{name} [{unit or 'm'}]" for name, unit in zip(names, units, strict=True)]
+    return "\t".join(headings) + "\n" + numbers.replace(",", " "), f"{sizes[5]} {values.get('XUNITS', 'm').strip()}"
 
 
 def _check_commas(table: NumberTable) -> None:

@@ -1,14 +1,13 @@
 """Controllers in MATLAB files, versions 4 to 7, as SciPy reads them."""
 
-import warnings
 from collections.abc import Mapping
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, first_few, listing, quoted
+from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
 PERIODS = ("Ts", "sample_period")
@@ -29,7 +28,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
     Raises:
         InputError: the file is not of this format, or does not contain exactly one controller.
     """
-    where, values = _only_controller(_variables(content))
+    where, values = _only_controller(matlab_variables(content))
     matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones
     if {"A", "B", "C"} & {*matrices}:
         missing = [name for name in MATRICES if name not in matrices]
@@ -42,19 +41,6 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         gain = "K" if "K" in matrices else "D"
         return {"gain": _numbers(gain, matrices[gain]).tolist()}, None
     return {name: _numbers(name, matrices[name]).tolist() for name in MATRICES}, _period(matrices)
-
-
-def _variables(content: bytes) -> dict[str, Any]:
-    """Returns the variables of a file by name, with MATLAB's own beginning with two underscores."""
-    from scipy.io import loadmat
-
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of two objects, which have the same name for SciPy
-            return loadmat(BytesIO(content))
-    except NotImplementedError as error:
-        raise InputError("is of version 7.3, which is HDF5 and cannot be read; save it in MATLAB with '-v7'") from error
-    except Exception as error:
-        raise InputError(f"is not a MATLAB file, or damaged ({error}); write it in MATLAB by {SAVE}") from error
 
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

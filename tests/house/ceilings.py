@@ -21,16 +21,16 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2325   1753      0
+what all commands share: files, options, checks, tables of numbers   2381   1754      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           4894   1402    210
+vehicle file, types, equations, MJCF                           4914   1403    210
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
-laws and families in files                                      242    330     91
+laws and families in files                                      228    330     91
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     141    184      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
@@ -50,18 +50,18 @@ curves of dampers and springs, statistical linearisation       1562   1007     4
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      403    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      814   1522     52
+loads, links, tyre damping                                      817   1545     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1082    940      0
+measured roads, rigs, OpenCRG, IRI                             1137    943      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1674    715     91
+analytic and random roads                                      1746    822     91
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      400   1106      0
+anti-windup, integrals, compatible options                      400   1107      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    361      0
@@ -124,7 +124,7 @@ margins in physics                                             2445    948     7
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1890    581     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2219   1123      0
+ride metrics and their expectation                             2219   1127      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
@@ -139,11 +139,11 @@ linear responses                                               1033    369      
 runs, verdict, their text                                      3070    883     55
     sim/runs/{__init__,agreement,by_name,commands,prediction,report,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1122   1040    348
+commands that drive                                            1122   1040    351
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3750   1509
+house, pages, benchmarks                                          0   3751   1510
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/*

@@ -123,6 +123,7 @@ OWNERS = {
     "matplotlib": {"models/document/picture.py"},
     "contourpy": {"models/document/figure.py", "models/document/page.py"},
     "jinja2": {"models/document/page.py"},
+    "python_calamine": {"models/common/table.py"},
     "pyopencrg": {"models/roads/opencrg.py"},
     "cloudpickle": {"models/kinds/kind.py"},
     "filelock": {"sim/campaign/manifest.py"},

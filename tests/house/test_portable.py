@@ -48,6 +48,7 @@ EXTRAS = [  # a package, its extra, and a command that needs it
     ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
     ("contourpy", "report", ["sim.report"]),
     ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
+    ("python_calamine", "excel", ["sim.drive", "--controller", "passive", "--road", "road.xlsx"]),
     ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
     ("jinja2", "report", ["sim.report"]),
 ]

@@ -398,7 +398,10 @@ CORNERS_OF_POSTS = tuple(end[1:] for end in CORNERS["full_car"])
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("road.dat", "the file exists, but files '.dat' are not read; a .csv or .txt file has columns of distance and height"),
+        (
+            "road.dat",
+            "the file exists, but files '.dat' are not read; a .csv, .txt, .xlsx or .mat file has columns of distance and height",
+        ),
         ("road", "the file exists, but its name has no ending; a .csv"),
         ("drive.rsp", "rename or convert it; a file in RPC III (.rsp, .drv) is not read"),
     ],

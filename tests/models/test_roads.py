@@ -1,12 +1,15 @@
 """Roads: coherence and repeatability of ISO 8608's, exact derivatives of all, measured profiles, logs, and bad input."""
 
+import io
 import itertools
 import json
 import re
+import zipfile
 
 import numpy as np
 import pytest
 from scipy import signal, special
+from scipy.io import savemat
 
 from models.common.errors import InputError
 from models.roads import opencrg, profile_file
@@ -252,6 +255,9 @@ def test_opencrg_in_parts(tmp_path, monkeypatch):
         ("0,431\n0.5,431.02\n1,430.99\n1.5,431\n", ""),
         ("7,0,9,0\n7,.5,9,.02\n7,1,9,-.01\n7,1.5,9,0\n", ":columns=2,4"),
         ("0,0,9,0,\n.5,.02,9,.02,\n1,-.01,9,-.01,\n1.5,0,9,0,\n", ":columns=1,2,4"),
+        ("0\n20\n-10\n0\n", ":step=0.5:unit=mm"),
+        ("left [mm], right [cm]\n0,0\n20,2\n-10,-1\n0,0\n", ":step=500 mm"),
+        ("n, height\n1,0\n2,0.02\n3,-0.01\n4,0\n", ":step=0.5"),
     ],
 )
 def test_a_file_as_people_have_them(tmp_path, content, settings):
@@ -281,6 +287,78 @@ HEADED = [  # (what stands above, how the numbers are read without it: columns a
     ("# the left lane, in m, by hand", (0, 1, 2), (1, 1, 1), ""),
     ("# in,cm,mm", (0, 1, 2), (1, 1, 1), ""),
 ]
+
+
+ERD = "ERDFILEV2.00\n  {count}, 4, -1, 1, {key}, 0.5, -1,\nTITLE   by hand\nSHORTNAM{names}\nUNITSNAM{units}\nXUNITS  m\nEND\n"
+
+
+def test_files_of_other_programs(tmp_path):
+    """A spreadsheet, a MATLAB file in four forms, and an ERD file of one or two tracks give the road of the same numbers."""
+    x, z = np.arange(4) * 0.5, np.array([0, 0.02, -0.01, 0])
+    both, said = np.column_stack([z, 2 * z]), choose_road
+    for name, content in {
+        "a": {"x": x, "z": z},
+        "b": {"road": np.column_stack([x, z])},
+        "c": {"p": {"distance": x, "height_mm": 1e3 * z}},
+        "d": {"z": z},
+    }.items():
+        savemat(tmp_path / f"{name}.mat", content)
+        found = choose_road(f"{name}.mat{':step=0.5' if name == 'd' else ''}", tmp_path).profile
+        assert found is not None
+        np.testing.assert_allclose(found.heights, z[:, None] * np.ones(2), atol=1e-15)
+        np.testing.assert_allclose(found.distance, x)
+    for heights, names, units in ((both, "LElev.  RElev.", "mm      mm"), (both[:, :1], "Elev.", "mm")):
+        lines = "\n".join(" ".join(f"{1e3 * value:.1f}" for value in row) for row in heights)
+        head = ERD.format(count=heights.shape[1], key=5, names=names, units=units)
+        (tmp_path / "road.erd").write_text(f"{head}{lines}\n")
+        found = said("road.erd", tmp_path).profile
+        assert found is not None
+        np.testing.assert_allclose(found.heights, heights * np.ones(2), atol=1e-15)
+        np.testing.assert_allclose(found.distance, x)
+    (tmp_path / "binary.erd").write_text(ERD.format(count=1, key=1, names="Elev.", units="m"))
+    savemat(tmp_path / "uneven.mat", {"x": x, "z": z[1:]})
+    for file, words in (
+        ("binary.erd", "numbers are binary (KEYNUM 1); export it with numbers as text"),
+        ("uneven.mat", "contains x 1x4, z 1x3; save vectors of equal length"),
+        ("a.mat:step=0.5", "a step was given, and there are distances"),
+        ("d.mat:step=0", "give the spacing of the heights, as in step=0.25"),
+        ("d.mat", "or heights alone, with :step=0.25"),
+    ):
+        with refused(words):
+            choose_road(file, tmp_path)
+
+
+@pytest.mark.extra
+def test_a_spreadsheet(tmp_path):
+    """The first sheet of an .xlsx file is a table as a text file is one."""
+    pytest.importorskip("python_calamine")
+    rows = [["surveyed by hand"], ["distance [m]", "height [mm]"], [0, 0], [0.5, 20.0], [1.0, -10.0], [1.5, 0]]
+    (tmp_path / "road.xlsx").write_bytes(spreadsheet(rows))
+    found = choose_road("road.xlsx", tmp_path).profile
+    assert found is not None
+    np.testing.assert_allclose(found.heights[:, 0], [0, 0.02, -0.01, 0])
+
+
+def spreadsheet(rows) -> bytes:
+    """The least that is an .xlsx file: one sheet with texts in place."""
+    text, number = '<c t="inlineStr"><is><t>{}</t></is></c>', "<c><v>{}</v></c>"
+    cells = [[(text if isinstance(value, str) else number).format(value) for value in row] for row in rows]
+    body, of = (
+        "".join(f"<row>{''.join(row)}</row>" for row in cells),
+        "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
+    )
+    link = f'<Relationships><Relationship Id="a" Type="{of}/{{}}" Target="{{}}"/></Relationships>'
+    parts = {
+        "_rels/.rels": link.format("officeDocument", "xl/workbook.xml"),
+        "xl/_rels/workbook.xml.rels": link.format("worksheet", "worksheets/sheet1.xml"),
+        "xl/workbook.xml": f'<workbook xmlns:r="{of}"><sheets><sheet name="s" sheetId="1" r:id="a"/></sheets></workbook>',
+        "xl/worksheets/sheet1.xml": f"<worksheet><sheetData>{body}</sheetData></worksheet>",
+    }
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        for name, text in parts.items():
+            file.writestr(name, text)
+    return content.getvalue()
 
 
 @pytest.mark.parametrize(
