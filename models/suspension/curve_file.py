@@ -2,9 +2,9 @@
 
 So a vehicle that was read needs no other files, as with laws and families. Two formats are known: CSV, whose header names
 quantity and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the
-TeimOrbit
-format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the table in
-`[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
+TeimOrbit format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the
+table in `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help,
+READ_T_O_START_TABLE_READ).
 """
 
 import re
@@ -12,10 +12,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, reading
-from models.common.quantities import QUANTITIES
-from models.common.table import find_table
+from models.common.quantities import QUANTITIES, Heading
+from models.common.table import NumberTable, find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import unit_size
 
@@ -72,7 +74,7 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
     path = folder / file
     with reading(path, "curve", GIVE):
         content = path.read_bytes()
-        text = content.decode("utf-8-sig").replace("\r\n", "\n")
+        text = table_text(path)
         table = _of_dpr(text) if file.lower().endswith(".dpr") else _of_csv(text)
         if over and over not in table:
             raise InputError(f"has the columns {listing(table)}; give {over} and force")
@@ -82,10 +84,50 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
 def _of_csv(text: str) -> dict[str, list[float]]:
     """Returns columns by their headings, in SI units."""
     table = find_table(text, GIVE)
+    if (sided := _by_side(table)) is not None:
+        return sided
     columns = table.quantities(("velocity", "deflection", "force"))
     if len(columns) != 2 or "force" not in columns:
         raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
     return {name: column.tolist() for name, column in columns.items()}
+
+
+def _by_side(table: NumberTable) -> dict[str, list[float]] | None:
+    """Returns a table whose headings name compression or extension, in SI units and positive in extension; None for others.
+
+    The sheet of a damper dynamometer has speeds, and forces in compression and in rebound: F(v) is the rebound force at v, and
+    F(-v) is minus the compression force. In a table over compression, both columns change sign.
+    """
+    headings = table.headings([QUANTITIES[name].si for name in ("velocity", "deflection", "force")])
+    forces = [bool(unit_size(heading.unit, "N")) for heading in headings]
+    sides = [_side(heading) for heading in headings]
+    if not any(sides) or len(headings) not in (2, 3):
+        return None
+    numbers, argument = table.numbers()[0], forces.index(False) if False in forces else 0
+    over = "velocity" if unit_size(headings[argument].unit, "m/s") else "deflection"
+    values = numbers * [one.scale("force" if is_force else over) for one, is_force in zip(headings, forces, strict=True)]
+    if len(headings) == 2 and forces.count(True) == 1:
+        sign = sides[argument] or sides[1 - argument]
+        x, force = sign * values.T[[argument, 1 - argument]]
+        order = np.argsort(x, kind="stable")
+        return {over: x[order].tolist(), "force": force[order].tolist()}
+    if forces.count(True) != 2 or sorted(side for side, is_force in zip(sides, forces, strict=True) if is_force) != [-1, 1]:
+        return None
+    speed, rebound, compression = (values[:, i] for i in (argument, sides.index(1), sides.index(-1)))
+    if (speed < 0).any():
+        raise InputError("has a speed below 0; give speeds from 0 on, with the forces in compression and in rebound")
+    moving = speed > 0
+    v = np.concatenate([-speed[moving][::-1], [0.0], speed[moving]])
+    return {
+        over: v.tolist(),
+        "force": np.concatenate([-np.abs(compression[moving])[::-1], [0.0], np.abs(rebound[moving])]).tolist(),
+    }
+
+
+def _side(heading: Heading) -> int:
+    """Returns -1 for a heading that names compression, 1 for one that names extension, and 0 for others."""
+    words = set(re.findall(r"[a-z]+", heading.name.lower()))
+    return -1 if words & {"compression", "bump", "jounce"} else int(bool(words & {"extension", "rebound", "droop"}))
 
 
 def _of_dpr(text: str) -> dict[str, list[float]]:

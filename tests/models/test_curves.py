@@ -309,10 +309,18 @@ CSV = "# measured\nvelocity [mm/s]; force (kN)\n" + "\n".join(
 IN_MILLISECONDS = re.sub(r"(?m)^ ([-\d.]+) ", lambda found: f" {float(found[1]) / 1e3} ", DPR).replace("'second'", "'ms'")
 
 
-@pytest.mark.parametrize(("name", "content"), [("damper.csv", CSV), ("damper.dpr", DPR), ("ms.dpr", IN_MILLISECONDS)])
+SHEET = "Speed [mm/s],Compression [N],Rebound [N]\n0,0,0\n150,262.5,262.5\n600,750,1000\n1500,1350,1900\n"  # of a dynamometer
+BUMPS = "bump velocity [m/s], force [N]\n" + "\n".join(
+    f"{-v}, {-f}"
+    for v, f in zip([-1.5, -0.6, -0.15, 0, 0.15, 0.6, 1.5], [-1350, -750, -262.5, 0, 262.5, 1000, 1900], strict=True)
+)
+FILES = {"damper.csv": CSV, "damper.dpr": DPR, "ms.dpr": IN_MILLISECONDS, "dyno.csv": SHEET, "bump.csv": BUMPS}
+
+
+@pytest.mark.parametrize(("name", "content"), FILES.items())
 @pytest.mark.parametrize("form", ["[curves]\nsuspension_damping = {{ file = '{}' }}", "[curves.suspension_damping]\nfile = '{}'"])
 def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, form):
-    """A CSV file or a damper property file, in its units, is the same curve as its table in SI, and the text has the table."""
+    """A CSV file, a dynamometer's sheet or a damper property file, in its units and signs, is the same curve as its table in SI."""
     (tmp_path / name).write_text(content)
     text = curved_text(suspension_damping=DIGRESSIVE)
     text = text[: text.index("[curves]")] + form.format(name) + "\n"
@@ -332,6 +340,7 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "column 1, 'velocity', has no unit; allowed: cm/s"),
         ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "has no unit; allowed: N, daN, kN, lbf; write force [N] above it"),
         ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "is in 'km'; allowed: cm/s, ft/s, in/s, m/s, mm/s"),
+        ("a.csv", "speed [m/s], compression [N], rebound [N]\n-1, 10, 10\n1, 20, 20\n", "has a speed below 0; give speeds from 0 on"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "none of deflection (positive: in extension), force"),
         ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 names its 2 column(s)"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
