@@ -1,4 +1,4 @@
-"""Controllers in MATLAB files, versions 4 to 7, as SciPy reads them."""
+"""Controllers in MATLAB files, versions 4 to 7, as SciPy reads them: A, B, C, D or Ak, Bk, Ck, Dk, K, or num and den."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,6 +10,8 @@ from models.common.errors import InputError, first_few, listing, quoted
 from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
+OTHERS = {f"{name}k": name for name in MATRICES}  # names in text books
+TRANSFER = ("num", "den")  # of one reading and one force
 PERIODS = ("Ts", "sample_period")
 DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct made by get(sys)
 SAVE = "save('FILE.mat', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
@@ -45,16 +47,16 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Returns the place of the only controller in a file, for messages, and the variables or fields there."""
-    names = (*MATRICES, "K", *PERIODS)
+    names = (*MATRICES, *OTHERS, "K", *TRANSFER, *PERIODS)
     places = {"the file": {name: value for name, value in variables.items() if name in names}}
     for name, value in variables.items():
         if getattr(value, "dtype", None) is not None and value.dtype.names and value.shape == (1, 1):
             places[f"the struct {name}"] = {field: value[field][0, 0] for field in value.dtype.names}
-    holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, "K"}}
+    holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, *OTHERS, "K", *TRANSFER}}
     if len(holding) > 1:
         raise InputError(f"contains more than one controller, in {' and '.join(holding)}; keep one")
     for where, values in holding.items():
-        return where, values
+        return where, _as_matrices(where, values)
     if "None" in variables:  # SciPy's name for objects, whose own name and class are in a row of four
         name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
         raise InputError(
@@ -63,6 +65,34 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
         )
     others = [name for name in variables if not name.startswith("__")]
     raise InputError(f"contains neither A, B, C, D nor K, but {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
+
+
+def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Returns the matrices of a law by their usual names; of a transfer function those of its controllable canonical form."""
+    if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
+        raise InputError(f"{where} has {both[0]}; keep one of them")
+    values = {OTHERS.get(name, name): value for name, value in values.items()}
+    if not {*TRANSFER} & {*values}:
+        return values
+    missing, more = [name for name in TRANSFER if name not in values], [name for name in (*MATRICES, "K") if name in values]
+    if missing or more:
+        raise InputError(
+            f"{where} has a transfer function {'and ' + more[0] if more else 'without ' + missing[0]}; give num and den"
+        )
+    num, den = (np.trim_zeros(_numbers(name, values[name]).ravel(), "f") for name in TRANSFER)
+    if not len(num) <= len(den) or not len(den):
+        raise InputError(
+            f"num has {len(num)} coefficients and den {len(den)}; give a den of at least as many, the highest power first"
+        )
+    n, num = len(den) - 1, np.pad(num, (len(den) - len(num), 0)) / den[0]
+    a = den[1:] / den[0]
+    matrices = (
+        np.vstack([-a, np.eye(n)[:-1]]) if n else np.zeros((0, 0)),
+        np.eye(n)[:, :1],
+        (num[1:] - num[0] * a)[None],
+        num[:1, None],
+    )
+    return {name: value for name, value in values.items() if name not in TRANSFER} | dict(zip(MATRICES, matrices, strict=True))
 
 
 def _numbers(name: str, value: Any) -> Array:

@@ -147,9 +147,28 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
             parse_vehicle(file.read_text(), folder=folder)
 
 
+def test_names_of_text_books(tmp_path):
+    """Ak, Bk, Ck, Dk are A, B, C, D; num and den have the frequency response of their ratio, a constant of its number."""
+    assert law_in(tmp_path, mat({f"{name}k": value for name, value in LAW.items()})).record == RECORD
+    num, den, s = np.array([2.0, 3.0, 5.0]), np.array([4.0, 1.0, 6.0]), 1.7j
+    for numerator, denominator in ((num, den), (num[1:], den), (num[2:] * 3, den[1:])):
+        file = vehicle_with(tmp_path, mat({"num": numerator, "den": denominator}))
+        file.write_text(
+            file.read_text().replace(f"[controllers.mine]\n{MEASURED}", '[controllers.mine]\nmeasured = ["sprung_velocity"]')
+        )
+        law = read_vehicle(file).controllers["mine"].law
+        assert law is not None
+        A, B, C, D = (np.array(law.record[name]) for name in "ABCD")
+        response = (C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D).item()
+        assert response == pytest.approx(np.polyval(numerator, s) / np.polyval(denominator, s), rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("variables", "said"),
     [
+        (LAW | {"Ak": A}, "the file has Ak and A; keep one of them"),
+        ({"num": 1.0}, "has a transfer function without den; give num and den"),
+        ({"num": np.ones(3), "den": np.ones(2)}, "num has 3 coefficients and den 2"),
         ({"A": A}, "B, C, D is missing in the file"),
         (LAW | {"K": 1.0}, "the file has K and A, B, C, D; keep"),
         ({"one": LAW, "two": LAW}, "contains more than one controller, in the struct one and the struct two"),
