@@ -24,6 +24,7 @@ FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
 GIVE = 'give a file next to the vehicle file and a function in it, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
 TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
+NAMES = ("inputs", "outputs")  # of an FMU
 FURTHEST = 60.0  # s of the road ahead
 
 
@@ -35,11 +36,14 @@ class PythonLaw:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: preview time of the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
+        inputs, outputs: signals by the names that an FMU has for them; names of signals themselves need no entry.
     """
 
     law: str
     preview: float | None = None
     folder: Path | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    outputs: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def file(self) -> str:
@@ -69,7 +73,9 @@ class PythonLaw:
     @property
     def record(self) -> dict[str, Any]:
         """The law as in JSON and TOML."""
-        return {"fmu" if self.is_fmu else "law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
+        names = {key: dict(value) for key, value in (("inputs", self.inputs), ("outputs", self.outputs)) if value}
+        preview = {"preview": self.preview} if self.preview is not None else {}
+        return {"fmu" if self.is_fmu else "law": self.law} | preview | names
 
     @property
     def path(self) -> Path | None:
@@ -87,8 +93,8 @@ class PythonLaw:
             raise InputError(f"law {self.law}: the vehicle file was read from text alone, and no code comes with that")
         if self.is_fmu:
             content = read_bytes(path, "FMU", GIVE_FMU)
-            digest = hashlib.sha256(content).hexdigest()
-            steps = f'from models.vehicle.foreign_fmu import law_of\n\nstep = law_of(__file__, "{digest}")\n'
+            digest, names = hashlib.sha256(content).hexdigest(), {**self.inputs, **self.outputs}
+            steps = f'from models.vehicle.foreign_fmu import law_of\n\nstep = law_of(__file__, "{digest}", {names!r})\n'
             return f"{origin(self.law, content)}\n{steps}"
         return read_text(path, "law", GIVE)
 
@@ -190,6 +196,16 @@ def sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _names(where: str, key: str, given: Any) -> dict[str, str]:
+    """Returns the signals by names of an FMU's variables."""
+    if not isinstance(given, Mapping) or not all(isinstance(signal, str) for signal in given.values()):
+        example = "suspension_deflection" if key == "inputs" else "control_force"
+        raise InputError(
+            f'{where} {key} = {quoted(given)} is not allowed; give the signal of each, as in {{ In1 = "{example}" }}'
+        )
+    return {str(name): str(signal) for name, signal in given.items()}
+
+
 def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> PythonLaw | None:
     """Returns the law in Python that an entry of `[controllers]` names, or None if it names no such law. Opens no file.
 
@@ -206,7 +222,9 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
             raise InputError(
                 f"{where} has an fmu and {listing(beside)}; an FMU is a complete law without preview; omit one of them"
             )
-        return PythonLaw(fmu, None, folder)
+        return PythonLaw(fmu, None, folder, *(_names(where, key, entry.get(key, {})) for key in NAMES))
+    if named := [key for key in NAMES if key in entry]:
+        raise InputError(f"{where} {named[0]} are names of variables of an FMU; name it by fmu, or omit them")
     if "law" not in entry:
         from models.laws.combinations import PREVIEW  # loads SciPy, which a child process that runs a law does not need
 

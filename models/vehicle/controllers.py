@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
-    *("law", "preview", "fmu"),  # what is run as it is
+    *("law", "preview", "fmu", "inputs", "outputs"),  # what is run as it is
     "actuators",
     "anti_windup",
     *("order", "stable", "fastest_pole", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design

@@ -1,12 +1,13 @@
 """FMUs of other tools (FMI 2 and 3, co-simulation) as controllers, by FMPy. They run in the child process of their law.
 
 A vehicle file names one by `fmu = "their.fmu"`. Its inputs have the names and units of the measured signals, and its outputs are
-the control forces. The step from a sample to the next one computes the forces that are held in between.
+the control forces; `inputs = { In1 = "suspension_deflection" }` and `outputs` give the signals of other names. The step from a
+sample to the next one computes the forces that are held in between.
 """
 
 import hashlib
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,11 +24,11 @@ CORNERS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_righ
 GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
 
-def law_of(file: str, sha256: str) -> Callable[[Sample, "ForeignFmu | None"], Any]:
-    """Returns a law in Python that steps the FMU in a file with this checksum."""
+def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample, "ForeignFmu | None"], Any]:
+    """Returns a law in Python that steps the FMU in a file with this checksum; `names` are signals by its own names."""
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:
-        fmu = ForeignFmu(Path(file), sha256, sample) if state is None else state
+        fmu = ForeignFmu(Path(file), sha256, sample, names) if state is None else state
         return fmu.step(sample), fmu
 
     return step
@@ -36,7 +37,7 @@ def law_of(file: str, sha256: str) -> Callable[[Sample, "ForeignFmu | None"], An
 class ForeignFmu:
     """Instance of an FMU. It is terminated with this object."""
 
-    def __init__(self, file: Path, sha256: str, sample: Sample) -> None:
+    def __init__(self, file: Path, sha256: str, sample: Sample, names: Mapping[str, str]) -> None:
         """Starts the FMU, which receives the first sample for its initialization.
 
         Raises:
@@ -52,7 +53,7 @@ class ForeignFmu:
         with self._errors(f"; {GIVE}"):
             description = fmpy.read_model_description(str(file))
             fmpy.extract(str(file), self._folder.name)
-        self._inputs, self._forces = _variables(description, sample.measured)
+        self._inputs, self._forces = _variables(description, sample.measured, names)
         old, platforms = description.fmiMajorVersion == 2, [path.name for path in Path(self._folder.name, "binaries").glob("*")]
         needed = fmpy.platform if old else fmpy.platform_tuple
         if needed not in platforms:
@@ -110,7 +111,7 @@ def _end(fmu: Any) -> None:
         fmu.freeInstance()
 
 
-def _variables(description: Any, measured: Sequence[str]) -> tuple[list[Any], list[Any]]:
+def _variables(description: Any, measured: Sequence[str], names: Mapping[str, str]) -> tuple[list[Any], list[Any]]:
     """Returns the variables of the measured signals, and those of the forces in the order of the corners.
 
     Raises:
@@ -119,17 +120,21 @@ def _variables(description: Any, measured: Sequence[str]) -> tuple[list[Any], li
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
         raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
     real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]  # others keep start values
-    inputs, outputs = ({one.name: one for one in real if one.causality == kind} for kind in ("input", "output"))
+    inputs, outputs = (
+        {names.get(one.name, one.name): one for one in real if one.causality == kind} for kind in ("input", "output")
+    )
+    if unknown := [name for name in names if name not in [one.name for one in real]]:
+        raise InputError(f"it has no variable {quoted(unknown[0])}, but {listing([one.name for one in real])}; correct the names")
     if {*inputs} != {*measured}:
-        raise InputError(
-            f"its inputs are {listing(inputs)}, and the controller measures {listing(measured)}; list the inputs in `measured`"
-        )
+        other = 'list them in `measured`, or give their signals, as in inputs = { In1 = "suspension_deflection" }'
+        raise InputError(f"its inputs are {listing(inputs)}, and the controller measures {listing(measured)}; {other}")
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        raise InputError(f"its outputs are {listing(outputs)}; name its forces {FORCE}, or {FORCE}_CORNER")
+        raise InputError(f"its outputs are {listing(outputs)}; name its forces {FORCE}, or {FORCE}_CORNER, or give outputs")
     for one in (*inputs.values(), *forces):
+        name = names.get(one.name, one.name)
         unit = one.unit or (one.declaredType and one.declaredType.unit)
-        signal = next((known for known in KNOWN if f"{one.name}_".startswith(f"{known.name}_")), None)  # or one of its corners
+        signal = next((known for known in KNOWN if f"{name}_".startswith(f"{known.name}_")), None)  # or one of its corners
         if unit and signal and _plain(unit) != signal.unit:
             raise InputError(f"the unit of its {one.name} is {quoted(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces

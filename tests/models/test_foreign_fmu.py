@@ -133,6 +133,25 @@ def test_it_is_terminated(library, tmp_path, monkeypatch):
 
 @needs_fmpy
 @pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ('"sprung_velocity"', '"In1"', 'inputs = { In1 = "sprung_velocity" }'),
+        ('"control_force"', '"Out1"', 'outputs = { Out1 = "control_force" }'),
+    ],
+)
+def test_names_of_other_tools(old, new, names, library, tmp_path):
+    """Variables of other names are the signals that the vehicle file gives; without these, and with wrong ones, it is refused."""
+    packed(tmp_path / "their.fmu", library, "good", old, new)
+    driver = parse_vehicle(f"{TEXT}{THEIRS}{names}\n", folder=tmp_path).controllers["theirs"].driver()
+    assert OwnLaw(driver, 1)(np.zeros(2), 0.0, 0.005, None, {}).tolist() == [1.0]  # pyright: ignore[reportArgumentType]
+    assert names.partition(" ")[0] in driver.record
+    for wrong, said in (("", names.partition(" ")[0]), (re.sub("(In|Out)1", "In2", names), "it has no variable 'In2', but")):
+        with refused("controller 'theirs'", said):
+            run(parse_vehicle(f"{TEXT}{THEIRS}{wrong}\n", folder=tmp_path), ["theirs"], Bump(), duration=0.1)
+
+
+@needs_fmpy
+@pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ("2.0", "1.0", "Failed to validate modelDescription.xml"),
