@@ -30,7 +30,7 @@ vehicle file, types, equations, MJCF                           4914   1403    21
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
     tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
-laws and families in files                                      258    349     91
+laws and families in files                                      258    349     93
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    203      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
