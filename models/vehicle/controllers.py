@@ -247,9 +247,8 @@ def _controller(
     for key in entry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
-                f"{where} unknown key {key!r}; a controller is a static gain, a law with states (A, B, C, D) or in Python, and "
-                "designed where none is given; known: "
-                f"{listing(CONTROLLER_KEYS)}"
+                f"{where} unknown key {key!r}; a controller is a gain, a law with states (A, B, C, D) or in Python, or a design; "
+                f"known: {listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
         raise InputError(f"{where} its file must be next to a vehicle file, and this text is not from a file; give its matrices")
