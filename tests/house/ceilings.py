@@ -108,7 +108,7 @@ synth command, controller record, designer                     3158    638    15
     docs/how-to/synth.md
 log re-verification                                             850    600     42
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2214   1145     46
+recordings: MCAP, Foxglove, Rerun                              2213   1175     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
 page and figures                                               5922   1723     69
