@@ -62,11 +62,6 @@ def rgb(color: str) -> tuple[int, int, int]:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
-def tint(color: str, share: float) -> str:
-    """Returns a colour mixed with a share of white, from 0 to 1."""
-    return "#" + "".join(f"{round(part + share * (255 - part)):02x}" for part in rgb(color))
-
-
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A line, points, or both. Without points it is a legend entry only.

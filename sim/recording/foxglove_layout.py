@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
-from sim.recording.pages import DIFFERENCE, Curve, Page, Plot, colour_of, compared_pages, run_pages
+from sim.recording.pages import DIFFERENCE, Curve, Page, Plot, pages
 from sim.recording.run_log import RunLog
 
 
@@ -31,10 +31,8 @@ def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog]
     """Adds the panels of one run, its car and its events beside its plots, or of all runs, their cars above their plots."""
     car, log = f"3D!{_id(name)}", f"RosOut!{_id(name)}"
     panels[car] = _scene(runs, seen)
-    alone = len(seen) < len(runs) or len(runs) == 1
-    pages = run_pages(seen[0], colour_of(runs, seen[0])) if alone else compared_pages(runs)
-    plots = _paged(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages])
-    if not alone:
+    plots = _paged(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages(runs, seen)])
+    if len(seen) > 1:
         return _stack("column", [car, plots], [2.0, 3.0])
     panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, seen[0], "events")}
     return _stack("row", [_stack("column", [car, log], [3.0, 1.0]), plots], [2.0, 3.0])

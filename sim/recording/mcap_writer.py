@@ -16,9 +16,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.common.arrays import Array
-from models.document.figure import rgb
+from models.document.figure import rgb, styles
 from models.kinds.signals import Signal
-from sim.recording.pages import colour_of
 from sim.recording.run_log import RunLog
 from sim.recording.scene import largest_force
 from sim.response.response import Response
@@ -157,12 +156,12 @@ def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
     from sim.recording import foxglove_scene as scene
 
     largest = largest_force(run.scene for run in runs)
-    stand = np.zeros(3)
+    stand, looks = np.zeros(3), styles(tuple(run.name for run in runs))
     for run in runs:
         run = replace(run, scene=run.scene.finite())
         times = _nanoseconds(run.scene.time)
         happened = _nanoseconds(np.array([time for time, _ in run.events]))
-        colour = rgb(colour_of(runs, run))
+        colour = rgb(looks[run.name].color)
         first = times[:1] or [0]
         for name, kind, when, messages in (
             ("events", scene.Log, happened, scene.events(run, happened)),

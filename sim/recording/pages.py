@@ -1,24 +1,28 @@
 """Pages of plots that viewers show of a recording, the same for Rerun and Foxglove."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from models.common.arrays import Array
-from models.document.figure import OTHERS, STYLES, styles, tint
+from models.document.figure import BLACK, OTHERS, STYLES, styles
 from models.kinds.signals import Signal, is_kept
-from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog, shown
+from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog
 from sim.response.response import Response
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
 
-# By response: (label, share of white in the run's colour, width). Rerun draws in the order of names, so MuJoCo's comes last, as a
-# thin line within broad ones.
-RESPONSES = {CONTINUOUS: ("continuous", 0.78, 8.0), SAMPLED: ("sampled", 0.5, 4.5), MUJOCO: ("MuJoCo", 0.0, 1.5)}
-ANY_RESPONSE = (0.3, 2.0)
-PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))  # of curves that belong to no run
+# By response: (label, opacity, width). Rerun draws in the order of names, so MuJoCo's comes last: thin, within broad lines.
+RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
+NEUTRAL = "#8c8c8c"  # for the report's black, as viewers are dark or light, which the user chooses
+PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]  # of curves that belong to no run
 
+TRAVEL = "suspension_deflection"
+OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")  # on the first page, for one corner of a car
+ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # units of the quantities on the last page
 GROUPED = 8  # signals that need no groups
 MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log
 CONTROLLER = "controller"  # page of these states
@@ -61,66 +65,77 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Plots that are seen together.
-
-    Attributes:
-        title: title of the page.
-        plots: the plots, in rows.
-        columns: plots in a row.
-        group: the group of signals whose differences are shown below; empty without.
-        difference: curves of these differences.
-    """
+    """Plots that are seen together: title, plots in rows, group of their signals, and the group's differences, shown below."""
 
     title: str
     plots: tuple[Plot, ...]
-    columns: int
     group: str = ""
     difference: tuple[Curve, ...] = ()
 
+    @property
+    def columns(self) -> int:
+        """Plots in a row."""
+        return 1 if len(self.plots) == 1 else 2 if len(self.plots) <= 4 else 3
+
 
 def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
-    """Returns the report's colour of a run."""
-    return styles(tuple(other.name for other in runs))[run.name].color
+    """Returns the colour of a run's curves: the report's, or grey for its black."""
+    color = styles(tuple(other.name for other in runs))[run.name].color
+    return NEUTRAL if color == BLACK else color
 
 
-def look(response: str) -> tuple[str, float, float]:
-    """Returns label, share of white and width of a response."""
-    return RESPONSES.get(response, (response, *ANY_RESPONSE))
+def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
+    """Returns the pages of one of the runs, with all its responses, loads and diagrams, or of all, with a curve for each.
+
+    The first page is the overview, and the last one the road, which all responses share.
+    """
+    run, color, alone, found = seen[0], colour_of(runs, seen[0]), len(seen) == 1, []
+    for group, signals in groups(seen).items():
+        curves = [response_curves(run, signal, color) if alone else _compared(seen, signal) for signal in signals]
+        plots = [Plot(_heading(signal), tuple(some)) for signal, some in zip(signals, curves, strict=True)]
+        gap = differences(run, signals) if alone else ()
+        found += [Page(name, part, group, gap) for name, part in _parts(_title(run, group), plots)]
+    if alone and LOADS in run.acting:
+        loads = [(_heading(signal), signal.name) for signal in run.acting[LOADS].signals]
+        plots = [Plot(title, (Curve(run, LOADS, name, name.replace("_", " "), color),)) for title, name in loads]
+        found.append(Page(LOADS, tuple(plots)))
+    if alone and DAMPERS in run.acting:
+        found.append(Page("dampers and springs", tuple(_diagram(run, one, color) for one in run.diagrams)))
+    roads = tuple(plot for quantity in ROADS if (plot := _road(seen, quantity)).curves)
+    return [*found, Page("road", roads)] if roads else found
 
 
-def run_pages(run: RunLog, color: str) -> list[Page]:
-    """Returns the pages of one run: its responses, the loads, and the diagrams of dampers and springs."""
-    pages = []
-    for group, signals in groups(plotted(run)).items():
-        gap = differences(run, signals)
-        for name, part in _parts(_title(run, group), signals):
-            plots = []
-            for signal in part:
-                topics = [topic for topic, response in run.responses.items() if signal.name in response.names]
-                looks = [(topic, *look(topic)) for topic in topics]
-                curves = (Curve(run, topic, signal.name, label, tint(color, white), wide) for topic, label, white, wide in looks)
-                plots.append(Plot(_heading(signal), tuple(curves)))
-            pages.append(Page(name, tuple(plots), 2, group, gap))
-    if LOADS in run.acting:
-        plots = [
-            Plot(_heading(signal), (Curve(run, LOADS, signal.name, signal.name.replace("_", " "), color),))
-            for signal in run.acting[LOADS].signals
-        ]
-        pages.append(Page(LOADS, tuple(plots), 2 if len(plots) > 3 else 1))
-    if DAMPERS in run.acting:
-        plots = [
-            Plot(
-                f"{one.title}: force [{one.pull.unit}] over {one.over}",
-                (
-                    *(Curve(run, DAMPERS, line.signal.name, line.label, "#111111", line.width) for line in one.lines),
-                    Curve(run, DAMPERS, one.pull.name, "MuJoCo", color),
-                ),
-                one,
-            )
-            for one in run.diagrams
-        ]
-        pages.append(Page("dampers and springs", tuple(plots), 2 if len(plots) > 1 else 1))
-    return pages
+def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
+    """Yields the curves of a signal in all responses of a run."""
+    for topic, response in run.responses.items():
+        if signal.name in response.names:
+            label, opacity, width = RESPONSES[topic]
+            yield Curve(run, topic, signal.name, label, color + opacity, width)
+
+
+def _compared(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
+    # Rerun draws in the order of names: thinner towards the last one, so that a curve behind another stays visible.
+    names = sorted((run.name for run in runs), reverse=True)
+    for run in runs:
+        if signal.name in run.responses[MUJOCO].names:
+            yield Curve(run, MUJOCO, signal.name, run.name, colour_of(runs, run), min(1.5 + names.index(run.name), 5.0))
+
+
+def _road(runs: Sequence[RunLog], quantity: str) -> Plot:
+    """Returns a quantity of the road, each different curve once: under several wheels, or of several runs."""
+    curves: dict[bytes, Curve] = {}
+    for run in runs:
+        for name in (name for name in run.responses[MUJOCO].names if name.startswith(quantity)):
+            label = (" ".join(name.split("_")[2:]) or "road") + (f", {run.name}" if run is not runs[0] else "")
+            curve = Curve(run, MUJOCO, name, label, PALETTE[len(curves) % len(PALETTE)])
+            curves.setdefault(curve.values.tobytes(), curve)
+    return Plot(f"{quantity.replace('_', ' ')}   [{ROADS[quantity]}]", tuple(curves.values()))
+
+
+def _diagram(run: RunLog, one: "Diagram", color: str) -> Plot:
+    lines = [Curve(run, DAMPERS, line.signal.name, line.label, NEUTRAL, line.width) for line in one.lines]
+    title = f"{one.title}: force [{one.pull.unit}] over {one.over}"
+    return Plot(title, (*lines, Curve(run, DAMPERS, one.pull.name, "MuJoCo", color)), one)
 
 
 def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
@@ -129,49 +144,38 @@ def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
     return tuple(Curve(run, GAP, name, name.replace("_", " "), PALETTE[i % len(PALETTE)]) for i, name in enumerate(names))
 
 
-def compared_pages(runs: Sequence[RunLog]) -> list[Page]:
-    """Returns the pages of all runs: each signal of MuJoCo, with a curve for each run."""
-    signals = [signal for signal in signals_of(runs) if not is_kept(signal)]  # states of controllers are different quantities
-    # Rerun draws in the order of names: thinner towards the last one, so that a curve behind another stays visible.
-    names = sorted((run.name for run in runs), reverse=True)
-    looks = {run.name: (colour_of(runs, run), min(1.5 + names.index(run.name), 5.0)) for run in runs}
-    pages = []
-    for group, members in groups(signals).items():
-        for name, part in _parts(group, members):
-            plots = []
-            for signal in part:
-                having = [run for run in runs if signal.name in run.responses[shown(run)].names]
-                curves = (Curve(run, shown(run), signal.name, run.name, *looks[run.name]) for run in having)
-                plots.append(Plot(_heading(signal), tuple(curves)))
-            pages.append(Page(name, tuple(plots), 3 if len(part) > 4 else 2))
-    return pages
-
-
 def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
     """Returns the signals of all responses, without duplicates, in order of appearance."""
     signals = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
     return tuple(signals.values())
 
 
-def plotted(run: RunLog) -> tuple[Signal, ...]:
-    """Returns the signals of a run to plot, in the order of the log; of a controller's states only the most active."""
-    return tuple(signal for signal in signals_of([run]) if not is_kept(signal) or signal.name in run.active[:MOST_ACTIVE])
+def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
+    """Returns the signals of runs by page, without the road: the overview, all others, and the controller's states of one run.
 
-
-def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
-    """Returns signals by page: one page `signals` or, for many signals, one for each kind; controller states come last."""
-    kept = tuple(signal for signal in signals if is_kept(signal))
-    if kept:
-        return {**groups([signal for signal in signals if not is_kept(signal)]), CONTROLLER: kept}
-    if len(signals) <= GROUPED:
-        return {"signals": tuple(signals)}
+    The overview is of the corner with the most travel. Many other signals are divided by kind, where kinds with one or two
+    signals, as heave and pitch, share a page.
+    """
+    signals = [signal for signal in signals_of(runs) if not is_kept(signal) and not signal.name.startswith((*ROADS,))]
+    named = {signal.name: signal for signal in signals}
+    corners = [name.removeprefix(TRAVEL) for name in named if name.startswith(TRAVEL)]
+    corner = max(corners, key=lambda one: _peak(runs, TRAVEL + one), default="")
+    overview = [named[name + corner] for name in OVERVIEW if name + corner in named]
+    others = [signal for signal in signals if len(corners) > 1 or signal not in overview]  # corners are compared there
     kinds: dict[str, list[Signal]] = {}
-    for signal in signals:
-        kinds.setdefault(signal.name.split("_")[0], []).append(signal)
-    # Kinds with one or two signals, as heave and pitch, share the first page.
-    grouped = {"car": tuple(signal for kind in kinds.values() if len(kind) <= 2 for signal in kind)}
-    grouped |= {name: tuple(kind) for name, kind in kinds.items() if len(kind) > 2}
-    return {name: kind for name, kind in grouped.items() if kind}
+    for signal in others:
+        kinds.setdefault(signal.name.split("_")[0] if len(others) > GROUPED else "others", []).append(signal)
+    small = [signal for kind in kinds.values() if len(kind) <= 2 for signal in kind]
+    large = {name: kind for name, kind in kinds.items() if len(kind) > 2}
+    active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()  # states of several controllers are different quantities
+    kept = [signal for signal in signals_of(runs) if is_kept(signal) and signal.name in active]
+    found = {"overview": overview, "car" if large else "others": small, **large, CONTROLLER: kept}
+    return {name: tuple(some) for name, some in found.items() if some}
+
+
+def _peak(runs: Sequence[RunLog], name: str) -> float:
+    responses = [run.responses[MUJOCO] for run in runs]
+    return max(float(np.nan_to_num(one.peak(name))) if name in one.names else 0.0 for one in responses)
 
 
 def _title(run: RunLog, group: str) -> str:
@@ -185,9 +189,9 @@ def _heading(signal: Signal) -> str:
     return f"{signal.name.replace('_', ' ')}   {signal.symbol} [{signal.unit}]"
 
 
-def _parts(name: str, group: Sequence[Signal]) -> list[tuple[str, Sequence[Signal]]]:
-    """Returns a group's signals, divided evenly among pages of at most `SEEN`, with their titles."""
-    count = -(-len(group) // SEEN)
-    each = -(-len(group) // count)
-    parts = [group[start : start + each] for start in range(0, len(group), each)]
+def _parts(name: str, plots: Sequence[Plot]) -> list[tuple[str, tuple[Plot, ...]]]:
+    """Returns the plots of a group, divided evenly among pages of at most `SEEN`, with their titles."""
+    count = -(-len(plots) // SEEN)
+    each = -(-len(plots) // count)
+    parts = [tuple(plots[start : start + each]) for start in range(0, len(plots), each)]
     return [(f"{name} {number}" if count > 1 else name, part) for number, part in enumerate(parts, start=1)]

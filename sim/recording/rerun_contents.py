@@ -8,9 +8,9 @@ import pyarrow as pa
 import rerun as rr
 
 from models.common.arrays import Array
-from models.document.figure import rgb, tint
-from sim.recording.pages import Curve, differences, groups, look, plotted
-from sim.recording.run_log import DAMPERS, LOADS, RunLog, shown
+from models.document.figure import rgb
+from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_curves, signals_of
+from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (
     FORCE,
     LIFTED,
@@ -37,11 +37,12 @@ TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram over the largest value
 TICKS = 5  # of a diagram's axis, about
+GROUND = 13  # red, green and blue of Rerun's ground
 READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
 # Markers of events by text: (shape, colour that no curve has). Other events are crosses.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
-ANY_MARKER = ("Cross", (20, 20, 20))
+ANY_MARKER = ("Cross", (225, 225, 225))
 
 
 def entity(*parts: str) -> str:
@@ -57,11 +58,17 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
 AFTER_END = 0.04  # of a run's duration: a plot over time ends with its data, and would cut its last label
 
 
+def opaque(color: str) -> list[int]:
+    """Returns a colour with opacity, `#rrggbbaa`, on Rerun's ground: lines of Rerun overlap themselves."""
+    opacity = int(color[7:] or "ff", 16) / 255
+    return [round(opacity * part + (1 - opacity) * GROUND) for part in rgb(color)]
+
+
 def lines(curves: Sequence[Curve]) -> rr.SeriesLines:
     """Returns the style of curves whose peaks stay visible: Rerun by default averages the samples within a pixel."""
     return rr.SeriesLines(
         names=[curve.label for curve in curves],
-        colors=[rgb(curve.color) for curve in curves],
+        colors=[opaque(curve.color) for curve in curves],
         widths=[curve.width for curve in curves],
         aggregation_policy="MinMax",
     )
@@ -86,15 +93,13 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs all that is plotted: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a tint of the run's colour; MuJoCo minus sampled, over each signal's peak,
+    A response is at `signals/<signal>/<response>`, in a shade of the run's colour; MuJoCo minus sampled, over each signal's peak,
     at `difference/<group>`; loads over time are at `acting/loads/<load>`, and diagrams at `acting/diagrams/<force>`.
     """
-    for name, response in run.responses.items():
-        label, white, width = look(name)
-        for signal in response.signals:
-            curve = Curve(run, name, signal.name, label, tint(color, white), width)
-            _log_curves(recording, curve_path(curve), [curve], name == shown(run))
-    for name, group in groups(plotted(run)).items():
+    for signal in signals_of([run]):
+        for curve in response_curves(run, signal, color):
+            _log_curves(recording, curve_path(curve), [curve], curve.topic == MUJOCO)
+    for name, group in groups([run]).items():
         if curves := differences(run, group):
             _log_curves(recording, entity(run.name, "difference", name), curves)
     for signal in run.acting[LOADS].signals if LOADS in run.acting else ():
@@ -129,7 +134,7 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
         height = each.force(grid)
         seen = np.abs(height) <= high
         drawn = rr.LineStrips2D(
-            [place(grid[seen], height[seen])], colors=[(20, 20, 20)], radii=rr.Radius.ui_points(each.width / 2)
+            [place(grid[seen], height[seen])], colors=[rgb(NEUTRAL)], radii=rr.Radius.ui_points(each.width / 2)
         )
         recording.log(f"{path}/{each.signal.name}", drawn, static=True)
         points.append((grid[seen][-1], height[seen][-1]))
@@ -153,15 +158,13 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
     index = time_index(np.array([time for time, _ in run.events]))
     lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view hides the column of times
     recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
-    response = run.responses[shown(run)]
+    response = run.responses[MUJOCO]
     for text in dict.fromkeys(texts):
         shape, colour = MARKERS.get(text, ANY_MARKER)
         looks = rr.SeriesPoints(names=text, colors=colour, markers=rr.components.MarkerShape[shape], marker_sizes=7.0)
         times = np.array([time for time, what in run.events if what == text])
         samples = np.clip(np.searchsorted(response.time, times), 0, len(response.time) - 1)
-        for signal in plotted(run):
-            if signal not in response.signals:
-                continue
+        for signal in response.signals:
             path = entity(run.name, "signals", signal.name, text)
             recording.log(path, looks, static=True)
             recording.send_columns(path, time_index(times), rr.Scalars.columns(scalars=response[signal.name][samples]))
@@ -194,15 +197,15 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """Returns a table of every run's certificate, and its results as sentences, in Markdown."""
-    keys = ("bound", "norm", "stable")
-    rows, results = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
+    """Returns a table of every run's certificate, and each different result with its runs, in Markdown."""
+    keys, results = ("bound", "norm", "stable"), dict[str, list[str]]()
+    rows = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"]
     for run in runs:
         claims = [_number(run.metadata.get(key, "-")) for key in keys]
         rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} |")
         first = f"; first: {run.events[0][1]}, {run.events[0][0]:.3g} s" if run.events else ""
-        results.append(f"- **{_cell(run.name)}** {_cell(run.verdict) or '-'}{first}")
-    return "\n".join([*rows, "", "MuJoCo:", "", *results])
+        results.setdefault(f"{_cell(run.verdict) or '-'}{first}", []).append(f"**{_cell(run.name)}**")
+    return "\n".join([*rows, "", "MuJoCo:", "", *(f"- {', '.join(names)}: {result}" for result, names in results.items())])
 
 
 def _number(text: str) -> str:

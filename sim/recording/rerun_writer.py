@@ -6,6 +6,7 @@ Rerun takes half a second to import, so this module is imported only when a file
 import math
 import re
 import warnings
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import rerun.blueprint as rrb
 import rerun.chunk
 
 from models.common.arrays import Array
-from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, compared_pages, run_pages
+from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, pages
 from sim.recording.rerun_contents import (
     TIMELINE,
     certificates,
@@ -37,16 +38,16 @@ from sim.recording.scene import largest_force
 SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # background that contrasts with black tyres
-PAPER = (178, 183, 192)  # background of plots, for the report's colours and a white time cursor
 ROUNDING = 1e-9  # of the other end of a curve: less is 0
-CARS = 3.3  # width over height of the space for all cars in a window of 1600 x 900
+CARS = 3.6  # width over height of the space for all cars in a window of 1600 x 900
+LETTER, LETTERS = 6 / 1600, 34  # width of a letter in that window, and letters of the certificates' table without names
 MARGIN = 0.04  # of the range of a plot, so that no peak is on the border
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
     """Returns the layout: a page for each run and, for several runs, first a comparison."""
-    pages = [_page(run, colour_of(runs, run)) for run in runs]
-    root = pages[0] if len(pages) == 1 else rrb.Tabs(_comparison(runs), *pages, active_tab=0)
+    each = [_page(runs, run) for run in runs]
+    root = each[0] if len(runs) == 1 else rrb.Tabs(_comparison(runs), *each, active_tab=0)
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),
@@ -57,19 +58,19 @@ def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
     )
 
 
-def _page(run: RunLog, color: str = "#000000") -> rrb.Container:
+def _page(runs: Sequence[RunLog], run: RunLog) -> rrb.Container:
     """Returns the page of a run: on the left the car, its certificate and events, on the right responses and differences."""
     texts = rrb.Tabs(
         rrb.TextDocumentView(origin=entity(run.name, "summary"), name="certificate and verdict"),
         rrb.TextDocumentView(origin=entity("metadata"), name="metadata"),
         active_tab=0,
     )
-    left: list[Any] = [_car(run, 1.5), texts]
+    left: list[Any] = [_car(run, 1.15), texts]
     if run.events:
         columns = rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
         left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
-    plots = _paged([_plots(page, [run]) for page in run_pages(run, color)])
-    return rrb.Horizontal(rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]), plots, column_shares=[2, 3], name=run.name)
+    plots = _paged([_plots(page, [run]) for page in pages(runs, [run])])
+    return rrb.Horizontal(rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]), plots, column_shares=[1, 2], name=run.name)
 
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
@@ -78,8 +79,11 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     aspect = CARS / columns * -(-len(runs) // columns)
     cars = rrb.Grid(*(_car(run, aspect) for run in runs), grid_columns=columns)
     certificates = rrb.TextDocumentView(origin=entity("certificates"), name="certificates")
-    plots = _paged([_plots(page, runs) for page in compared_pages(runs)])
-    return rrb.Vertical(rrb.Horizontal(cars, certificates, column_shares=[3, 1]), plots, row_shares=[4, 5], name="all")
+    plots = _paged([_plots(page, runs) for page in pages(runs, runs)])
+    table = LETTER * (LETTERS + max(len(name) for name in ("controller", *(run.name for run in runs))))
+    return rrb.Vertical(
+        rrb.Horizontal(cars, certificates, column_shares=[1 - table, table]), plots, row_shares=[4, 5], name="all"
+    )
 
 
 def _paged(pages: Sequence[rrb.Container]) -> rrb.Container:
@@ -90,14 +94,12 @@ def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
     """Returns a page of plots, with the differences below."""
     views = [_view(plot, runs, i == 0) for i, plot in enumerate(page.plots)]
     grid = rrb.Grid(*views, grid_columns=page.columns, name=page.title)
-    if not page.group:
+    if not page.difference:
         return grid
-    run, title = runs[0], DIFFERENCE
-    peaks = {curve.label: float(run.gap.peak(curve.signal)) for curve in page.difference if run.gap is not None}
-    worst = max(peaks, key=lambda name: peaks[name], default="")
-    if worst and np.isfinite(peaks[worst]):
-        title += f"; largest {peaks[worst]:.1e}, {worst}"
-    origin = entity(run.name, "difference", page.group)
+    peaks = {curve.label: float(curve.response.peak(curve.signal)) for curve in page.difference}
+    worst = max(peaks, key=lambda name: peaks[name])
+    title = f"{DIFFERENCE}; largest {peaks[worst]:.1e}, {worst}" if np.isfinite(peaks[worst]) else DIFFERENCE
+    origin = entity(runs[0].name, "difference", page.group)
     gap = _series(title, [curve.values for curve in page.difference], origin=origin)
     return rrb.Vertical(grid, gap, row_shares=[4, 1], name=page.title)
 
@@ -110,7 +112,6 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
             origin=entity(run.name, "acting", "diagrams", plot.diagram.pull.name),
             name=f"{plot.title} to the right",
             visual_bounds=rrb.VisualBounds2D(x_range=(-1.1, 1.1), y_range=(-1.1, 1.1)),
-            background=rrb.Background(color=PAPER),
         )
     curves = [curve.values for curve in plot.curves]
     title = "   ".join(filter(None, [plot.title, extremes_text(curves)]))
@@ -129,7 +130,6 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=value_axis(curves),
         plot_legend=rrb.PlotLegend(corner="RightTop", visible=legend),
-        background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
         **contents,
     )
 
@@ -194,9 +194,9 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         OSError: the file cannot be written.
         ValueError: Rerun cannot log something.
     """
-    # The viewer keeps one layout per application id, so files share it if their runs have the same names.
-    # Rerun warns about other characters.
-    application = re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(["roadproof", *(run.name for run in runs)]))
+    # The viewer keeps one layout per application id, and a layout fits its own recording alone: its plots have their ranges.
+    digest = zlib.crc32(repr((metadata, [run.metadata for run in runs])).encode())
+    application = re.sub(r"[^A-Za-z0-9_-]+", "-", f"roadproof-{'-'.join(run.name for run in runs)}-{digest:08x}")
     recording = rr.RecordingStream(application, send_properties=False)  # the properties are the time of writing alone
     strict = rr.strict_mode()
     rr.set_strict_mode(True)  # otherwise Rerun only warns of data that it cannot log

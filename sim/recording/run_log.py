@@ -62,8 +62,3 @@ class RunLog:
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])
-
-
-def shown(run: RunLog) -> str:
-    """Returns the name of the response to show for a run: MuJoCo's, or the first one without MuJoCo."""
-    return MUJOCO if MUJOCO in run.responses else next(iter(run.responses))

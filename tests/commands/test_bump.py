@@ -80,27 +80,16 @@ def test_peaks_of_an_independent_solver(everything):
             assert runs[name][signal]["peak"]["continuous"] == pytest.approx(peak, abs=half + 1e-12), (name, signal)
 
 
-def test_json_has_this_shape(everything):
-    """`--json` is one object of exactly these keys; units are those of the signals; `all` is every controller, once, in order."""
-    assert set(everything) == {"runs", "road", "timestep", "compared", "logs"}
+def test_json_of_every_controller(everything):
+    """`all` is every controller, once, in order; nothing ends the comparison and signals have their units."""
     assert everything["road"] == {"type": "bump", "height": 0.1, "length": 5.0, "speed": 12.5, "track": "both"}  # (62)
     assert everything["timestep"] == 1e-3
     assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
-        keys = {"controller", "signals", "until", "lift_off", "agrees", "steps", "commands", "cause"}
-        assert set(run) == keys | {"energy", "half_step", "margins"}
         assert run["cause"] == "RK4's own error"  # without geometry, noise and rounding
-        assert run["until"] is None  # nothing ends the comparison
-        assert run["half_step"] is None  # no tyre lifts
-        assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency", "stability"}
+        assert (run["until"], run["half_step"], run["lift_off"], run["agrees"]) == (None, None, [], True)
         assert {name: entry["unit"] for name, entry in run["signals"].items()} == UNITS
-        for entry in run["signals"].values():
-            assert set(entry) == {"unit", "peak", "rms", "error"}
-            assert set(entry["peak"]) == set(entry["rms"]) == {"mujoco", "sampled", "continuous"}
-            assert set(entry["error"]) == {"sampled", "continuous"}
-        assert run["lift_off"] == []
-        assert run["agrees"] is True
 
 
 def test_json_says_what_was_proved(everything):

@@ -33,7 +33,6 @@ def test_class_c(capsys, tmp_path):
     assert run["agrees"]
     assert result["road"]["class"] == "C"
     assert result["road"]["roughness"] == 256e-6
-    assert set(run["metrics"]["dynamic_load"]) == {"unit", "mujoco", "linear", "expected", "spread", "approximate"}
     for name in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load", "control_force_rms"):
         metric = run["metrics"][name]
         assert metric["mujoco"] == pytest.approx(metric["linear"], rel=0.05)  # it lifts off for moments, if at all

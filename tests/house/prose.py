@@ -5,6 +5,7 @@
 
 import re
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +14,12 @@ from tests.support.commands import ROOT
 from tests.support.pages import PAGES
 from tests.support.sources import sources
 
-MOST = {"docs": 3, "models": 2, "synth": 10, "sim": 35}  # findings in a folder: lower these, never raise them
+MOST = {  # findings in a folder: lower these, never raise them
+    "docs": 3,
+    "models": 2,
+    "synth": 10,
+    "sim": 26,
+}
 
 WORDS = (
     r"anew|nobody|shall|mend (?:it|that|the)|doubts?|(?:is|are|was) (?:told|asked for)|told apart|whole numbers?|held against"
@@ -80,7 +86,7 @@ def of_pages() -> Iterator[Sentence]:
 
 def findings() -> dict[str, list[str]]:
     """Returns the findings in each folder, in words; pages count as docs."""
-    found: dict[str, list[str]] = {folder: [] for folder in MOST}
+    found: dict[str, list[str]] = defaultdict(list)
     for file, kind, text in (*of_code(), *of_pages()):
         for name, (pattern, instead) in PATTERNS.items():
             if ONLY.get(name, kind) == kind and re.search(pattern, text):
@@ -89,17 +95,23 @@ def findings() -> dict[str, list[str]]:
     return found
 
 
-def main() -> int:
-    """Prints the findings, and lowers ceilings if asked to; returns 1 if a folder is above its ceiling."""
-    found, path = findings(), Path(__file__)
+def report(file: str, most: dict[str, int], found: dict[str, list[str]]) -> int:
+    """Prints findings, and lowers the ceilings `MOST` of a file if asked to; returns 1 if a folder is above its ceiling."""
+    path = Path(file)
     if "--lower" in sys.argv:
-        now = ", ".join(f'"{folder}": {min(MOST[folder], len(some))}' for folder, some in found.items())
-        text = re.sub(r"^MOST = \{.*?\}", f"MOST = {{{now}}}", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        now = {folder: min(most[folder], len(found.get(folder, []))) for folder in most}
+        lines = "".join(f'    "{folder}": {count},\n' for folder, count in now.items() if count)
+        text = re.sub(r"^(MOST = \{.*\n)(?:    .*\n)+", rf"\1{lines}", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
         path.write_text(text, encoding="utf-8", newline="\n")
     for folder, some in found.items():
-        print(*some, f"{folder}: {len(some)} of at most {MOST[folder]}", sep="\n")
-    return int(any(len(some) > MOST[folder] for folder, some in found.items()))
+        print(*some, f"{folder}: {len(some)} of at most {most.get(folder, 0)}", sep="\n")
+    return int(bool(above(most, found)))
+
+
+def above(most: dict[str, int], found: dict[str, list[str]]) -> list[str]:
+    """Returns the findings in folders that are above their ceilings."""
+    return [one for folder, some in found.items() if len(some) > most.get(folder, 0) for one in some]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(report(__file__, MOST, findings()))

@@ -1,11 +1,11 @@
-"""Prose is read once: no patterns that are read twice (`tests/house/prose.py`), and short sentences."""
+"""Prose is read once: no patterns that are read twice (`tests/house/prose.py`), short sentences, and formats in one place."""
 
 import re
 from collections import defaultdict
 
 import pytest
 
-from tests.house import prose
+from tests.house import formats, prose
 from tests.support.sources import sources
 
 LONG, LONGEST = 25, 35  # words of a sentence: few have more than the first, none of a page more than the second
@@ -18,13 +18,11 @@ def words(sentence: str) -> int:
     return sum(bool(re.search(r"[a-zA-Z]{2}", word)) for word in CODE.sub("code", sentence).split())
 
 
-def test_prose_improves():
-    """No folder has more sentences to rewrite than its ceiling."""
-    above = {folder: some for folder, some in prose.findings().items() if len(some) > prose.MOST[folder]}
-    lines = ["rewrite as `tests/house/prose.py` suggests; `python -m tests.house.prose --lower` lowers the ceilings"]
-    for folder, some in above.items():
-        lines += [f"{folder}: {len(some)} sentences, at most {prose.MOST[folder]}", *some]
-    assert not above, "\n".join(lines)
+@pytest.mark.parametrize("of", [prose, formats])
+def test_ceilings(of):
+    """No folder has more sentences to rewrite, or more formats of results, than its ceiling: `--lower` lowers it."""
+    above = prose.above(of.MOST, of.findings())
+    assert not above, "\n".join([of.__doc__, *above])
 
 
 def test_sentences_are_short():

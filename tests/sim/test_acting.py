@@ -96,7 +96,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
     assert plot["xAxisPath"]["value"] == "/dampers.damper_velocity"
     assert [path["label"] for path in plot["paths"]] == ["c_min", "c_max", "line at rest", "MuJoCo"]
 
-    (view,) = [part for part in _parts(_page(log, "#000000")) if isinstance(part, rrb.Spatial2DView)]
+    (view,) = [part for part in _parts(_page([log], log)) if isinstance(part, rrb.Spatial2DView)]
     assert str(view.origin).lstrip("/") == "I/acting/diagrams/damper_force"
     path = tmp_path / "run.rrd"
     write_rrd(path, [log], {})

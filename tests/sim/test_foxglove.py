@@ -200,20 +200,14 @@ def test_layout_fits_its_log(names: list[str], tmp_path: Path) -> None:
         topic, _, field = curve.rpartition(".")
         topic = json.loads(topic) if topic.startswith('"') else topic
         assert field in {known.name for known in topics[topic][0][2].DESCRIPTOR.fields}
-    for name, panel in layout["configById"].items():
-        if name.startswith("3D!"):
-            assert set(panel["topics"]) <= set(topics)
-            frames = {one.child_frame_id for run in topics if run.endswith("/transforms") for one in topics[run][0][2].transforms}
-            assert panel["followTf"] in {"world", *frames}
-    first = [one for run in topics if run.endswith("/transforms") for one in topics[run][0][2].transforms]
-    stands = np.mean(
-        [[one.translation.x, one.translation.y, one.translation.z] for one in first if one.parent_frame_id == "world"], axis=0
-    )
+    transforms = [one for run in topics if run.endswith("/transforms") for one in topics[run][0][2].transforms]
+    places = [(one.translation.x, one.translation.y, one.translation.z) for one in transforms if one.parent_frame_id == "world"]
     centre = np.mean(runs[0].scene.finite().extent(), axis=0)
-    for name, panel in layout["configById"].items():
-        if name.startswith("3D!"):
-            row = stands if panel["followTf"] == "world" else 0.0  # else one car is followed
-            np.testing.assert_allclose(panel["cameraState"]["targetOffset"], row + centre, atol=1e-9)
+    for panel in (panel for name, panel in layout["configById"].items() if name.startswith("3D!")):
+        assert set(panel["topics"]) <= set(topics)
+        assert panel["followTf"] in {"world", *(one.child_frame_id for one in transforms)}
+        row = np.mean(places, axis=0) if panel["followTf"] == "world" else 0.0  # else one car is followed
+        np.testing.assert_allclose(panel["cameraState"]["targetOffset"], row + centre, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -148,7 +148,7 @@ def test_viewers_show_those_that_ask_for_most(count):
     assert isinstance(run.controller, Controller)
     asks = {f"{KEPT}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{KEPT}{i + 1}") for i in range(count)}
     most = sorted(asks, key=lambda name: -asks[name])[:MOST_ACTIVE]
-    shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page(logged, "#000000"))]
+    shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page([logged], logged))]
     assert {name for name in shown if name.startswith(KEPT)} == set(most)
     assert not any(name.startswith("controller ") for name in plots(_comparison([logged, other]))), "each has its own"
 
@@ -157,4 +157,4 @@ def test_viewers_show_those_that_ask_for_most(count):
     for topic in ("mujoco", "linear", "continuous", "difference"):
         assert {one.split(".")[1] for one in curves if one.startswith(f"/{topic}.{KEPT}")} == set(most)
     titles = [tab["title"] for name, panel in layout.items() if name.startswith("Tab!") for tab in panel["tabs"]]
-    assert titles[-1] == ("controller" if count == 2 else "controller: the 6 of 30 states that contribute most")
+    assert titles[-2] == ("controller" if count == 2 else "controller: the 6 of 30 states that contribute most")

@@ -3,12 +3,15 @@
 import ast
 import functools
 import gc
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from tests.support.commands import ROOT
 from tests.support.shared import made
+
+DIGITS = re.compile(r":[^{}: ]*\.(\d+|\{[^{}]*\})[egf%]\}")  # the end of a format with a number of digits
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,7 @@ class Source:
         docstrings: docstrings of its module, classes and functions.
         texts: other texts in it of at least four words: messages, help and output; X replaces what an f-string inserts.
         classes: its public classes.
+        formats: specification of each number that it formats to some digits, except in fields of tables and errors.
     """
 
     imported: tuple[str, ...]
@@ -31,6 +35,7 @@ class Source:
     docstrings: tuple[str, ...]
     texts: tuple[str, ...]
     classes: tuple[str, ...]
+    formats: tuple[str, ...]
 
 
 @functools.cache
@@ -64,6 +69,7 @@ def _source(path: Path) -> Source:
         tuple(text for node in documented if (text := ast.get_docstring(node))),
         tuple(_texts(nodes)),
         tuple(node.name for node in documented if isinstance(node, ast.ClassDef) and not node.name.startswith("_")),
+        tuple(_formats(tree)),
     )
 
 
@@ -79,6 +85,19 @@ def _text(node: ast.AST) -> str:
     if isinstance(node, ast.JoinedStr):
         return "".join(map(_text, node.values))
     return (node.value if isinstance(node.value, str) else "") if isinstance(node, ast.Constant) else "X"
+
+
+def _formats(node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id.endswith(("Column", "Field", "Error")):
+        return
+    spec = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(node, ast.FormattedValue) and node.format_spec:
+        spec, node = ast.unparse(node.format_spec)[2:-1], node.value  # without f and the quotes
+    if isinstance(spec, str) and DIGITS.search(f":{spec}}}"):
+        yield spec
+    for part in ast.iter_child_nodes(node):
+        if not (isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)):  # a docstring
+            yield from _formats(part)
 
 
 def _imported(path: Path, tree: ast.Module, nodes: list[ast.AST]) -> Iterator[str]:
