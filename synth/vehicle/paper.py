@@ -15,7 +15,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from synth.analysis.certificate import certify
-from synth.analysis.norm import Gain, by_level_sets, hinf_norm
+from synth.analysis.norm import hinf_norm
+from synth.design.descent.landscape import Landscape
 from synth.design.two_step import state_path, two_step_design, zero_l_design
 from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
 from synth.plant.generalized import Feedback, GeneralizedPlant
@@ -208,13 +209,13 @@ def remark_5(designer: Designer) -> list[Way]:
         seconds = time.process_time() - begin
         ways.append(Way(name, "two steps", design.gain, design.certificate.norm.value, "2 LMI problems", seconds))
 
-        def norm(K: Array, Cy: Array = Cy) -> float:
-            gain = Gain(plant.closed_loop(Feedback(K[None], Cy)))
-            return by_level_sets(gain)[0] if gain.stable else UNSTABLE + float(np.real(gain.poles).max())
+        def norm(K: Array, norms: Landscape) -> float:
+            value = norms.norm(point := norms.point(K[None]))[0]
+            return value if np.isfinite(value) else UNSTABLE + norms.abscissa(point)[0]
 
         begin = time.process_time()
         search = differential_evolution(
-            norm, [(-BOX, BOX)] * len(Cy), rng=np.random.default_rng(SEED), tol=TOLERANCE, polish=False
+            norm, [(-BOX, BOX)] * len(Cy), (Landscape(plant, Cy),), rng=np.random.default_rng(SEED), tol=TOLERANCE, polish=False
         )
         seconds = time.process_time() - begin
         value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by both routes; one is enough to search by

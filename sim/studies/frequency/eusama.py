@@ -27,12 +27,12 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
-from sim.physics.simulate import simulate
 from sim.response.regime import LIFT_OFF, ended_by
+from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
-from sim.studies.frequency.worst_case_gain import PerWheelRoad, whole_periods
+from sim.studies.frequency.worst_case_gain import PerWheelRoad, driven, whole_periods
 from synth.controller.controller import Controller, has_anti_windup
 
 STROKE = 3e-3  # m, the plate's amplitude
@@ -93,11 +93,29 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
-    loads = []
-    for controller in controllers:
-        worst = [_worst(vehicle, controller, i, highest, timestep) for i in range(len(wheels))]
-        loads.append(tuple(_driven(vehicle, controller, i, omega, static, timestep) for i, omega in enumerate(worst)))
-    return loads
+    pairs = [(controller, i) for controller in controllers for i in range(len(wheels))]
+    worst = [_worst(vehicle, *pair, highest, timestep) for pair in pairs]
+    periods = [_periods(omega, timestep) for omega in worst]
+    leads = [lead_in(vehicle, controller, timestep, count) for (controller, _), (_, count) in zip(pairs, periods, strict=True)]
+    lengths = [lead + count for lead, (_, count) in zip(leads, periods, strict=True)]
+    time, inputs = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1], list[RoadInput]()
+    for (_, wheel), (tried, _) in zip(pairs, periods, strict=True):
+        waves = np.zeros((1, len(wheels)), dtype=complex)
+        waves[0, wheel] = STROKE * tried[0]
+        inputs.append(RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time))
+    loads = list[MinimumLoad]()
+    runs = zip(pairs, worst, periods, lengths, driven([controller for controller, _ in pairs], inputs), strict=True)
+    for pair, omega, of_run, length, run in runs:
+        own = Response(time[:length], run.signals, run.values[:length])
+        loads.append(_measured(vehicle, *pair, omega, *of_run, own, static, timestep))
+    return [tuple(loads[first : first + len(wheels)]) for first in range(0, len(loads), len(wheels))]
+
+
+def _periods(omega: float, timestep: float) -> tuple[Array, int]:
+    """Returns a frequency near this one [rad/s], shape (1,), and the samples of its whole periods that are fitted."""
+    _, samples = whole_periods(omega, timestep)
+    samples *= max(1, round(WINDOW / (samples * timestep)))
+    return np.array([round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)]), samples
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
@@ -132,22 +150,23 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
     return float(peak.x)
 
 
-def _driven(
-    vehicle: Vehicle, controller: Controller, wheel: int, omega: float, static: Mapping[str, float], timestep: float
+def _measured(
+    vehicle: Vehicle,
+    controller: Controller,
+    wheel: int,
+    omega: float,
+    tried: Array,
+    samples: int,
+    run: Response,
+    static: Mapping[str, float],
+    timestep: float,
 ) -> MinimumLoad:
-    """A wheel on its plate at a frequency."""
+    """Returns the load of a wheel whose least is at a frequency, from the last samples of its run at the one next to it."""
     tyre = vehicle.kind.wheels[wheel].tyre_deflection
     share = STROKE / static[tyre]
-    _, samples = whole_periods(omega, timestep)
-    samples *= max(1, round(WINDOW / (samples * timestep)))
-    tried = np.array([round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)])
     exact, integrated = (
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
-    time = sample_times(vehicle, (lead_in(vehicle, controller, timestep, samples) + samples) * timestep, timestep)[:-1]
-    waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
-    waves[0, wheel] = STROKE * tried[0]
-    run = simulate([controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]).run(0)
     ended = ended_by(vehicle, run, has_anti_windup(controller))
     curved = bool(vehicle.fitted)
     if ended or curved:
