@@ -148,6 +148,7 @@ class LinearDriver:
         m, k = len(first.linear_model.inputs), max(law.states for law in laws.values())
         self._forces, count = m, len(vehicles)
         self._gain, self._memory = np.zeros((len(signals), count, m + k)), np.zeros((count, m + k, k))
+        self._none = np.zeros((count, m + k))
         for i, one in enumerate(self._controllers):
             law, seen = laws[id(one)], [signals.index(name) for name in one.measured]
             end = m + law.states
@@ -176,9 +177,8 @@ class LinearDriver:
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         """See `Driver.step`."""
         m, q = self._forces, len(self._gain)
-        computed = np.zeros(self._gain.shape[1:])
-        for term in self._gain * y.T[:q, :, None]:  # zeros for the measurements of other controllers do not change the rounding
-            computed += term
+        # Zeros for the measurements of other controllers do not change the rounding.
+        computed = sum(self._gain * y.T[:q, :, None], start=self._none)
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]

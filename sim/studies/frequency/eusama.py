@@ -96,18 +96,17 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     pairs = [(controller, i) for controller in controllers for i in range(len(wheels))]
     worst = [_worst(vehicle, *pair, highest, timestep) for pair in pairs]
     periods = [_periods(omega, timestep) for omega in worst]
-    leads = [lead_in(vehicle, controller, timestep, count) for (controller, _), (_, count) in zip(pairs, periods, strict=True)]
-    lengths = [lead + count for lead, (_, count) in zip(leads, periods, strict=True)]
-    time, inputs = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1], list[RoadInput]()
-    for (_, wheel), (tried, _) in zip(pairs, periods, strict=True):
-        waves = np.zeros((1, len(wheels)), dtype=complex)
-        waves[0, wheel] = STROKE * tried[0]
-        inputs.append(RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time))
-    loads = list[MinimumLoad]()
-    runs = zip(pairs, worst, periods, lengths, driven([controller for controller, _ in pairs], inputs), strict=True)
-    for pair, omega, of_run, length, run in runs:
-        own = Response(time[:length], run.signals, run.values[:length])
-        loads.append(_measured(vehicle, *pair, omega, *of_run, own, static, timestep))
+    lengths = [lead_in(vehicle, one[0], timestep, of[1]) + of[1] for one, of in zip(pairs, periods, strict=True)]
+    time, waves = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1], np.eye(len(wheels), dtype=complex)
+    roads = [
+        PerWheelRoad.under(vehicle, tried, STROKE * tried[0] * waves[wheel : wheel + 1], float(time[-1]))
+        for (_, wheel), (tried, _) in zip(pairs, periods, strict=True)
+    ]
+    runs = driven([controller for controller, _ in pairs], [RoadInput(vehicle, road, time) for road in roads])
+    loads = [
+        _load(vehicle, one, omega, of, run.until((length - 0.5) * timestep), static)
+        for one, omega, of, length, run in zip(pairs, worst, periods, lengths, runs, strict=True)
+    ]
     return [tuple(loads[first : first + len(wheels)]) for first in range(0, len(loads), len(wheels))]
 
 
@@ -150,18 +149,11 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
     return float(peak.x)
 
 
-def _measured(
-    vehicle: Vehicle,
-    controller: Controller,
-    wheel: int,
-    omega: float,
-    tried: Array,
-    samples: int,
-    run: Response,
-    static: Mapping[str, float],
-    timestep: float,
+def _load(
+    vehicle: Vehicle, one: tuple[Controller, int], omega: float, of: tuple[Array, int], run: Response, static: Mapping[str, float]
 ) -> MinimumLoad:
-    """Returns the load of a wheel whose least is at a frequency, from the last samples of its run at the one next to it."""
+    """Returns the load of a wheel that is least at a frequency, from the end of its run at the one next to it, `_periods`."""
+    (controller, wheel), (tried, samples), timestep = one, of, float(run.time[1])
     tyre = vehicle.kind.wheels[wheel].tyre_deflection
     share = STROKE / static[tyre]
     exact, integrated = (

@@ -235,7 +235,7 @@ class Meter:
             name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
             for name in self.where.accelerations
         }
-        self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
+        self.running = {name: np.zeros((1, count, 1)) for name in self.where.accelerations}
         self.both_sides = bool(self.vehicle.dampers)
         self.jumps = Jumps(vehicles, (*self.where.accelerations, *(self.vehicle.linear_model.inputs if self.both_sides else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
@@ -326,13 +326,14 @@ class Meter:
         return values
 
     def _ride(self, name: str, acceleration: Array, skip: int) -> None:
-        weighted, memory = np.zeros_like(acceleration), self.memory[name]
-        for i, (b, a) in enumerate(zip(self.filter.numerators, self.filter.denominators, strict=True)):
-            part, memory[i] = filtered(b, a, acceleration, memory[i])
+        weighted, wk = np.zeros_like(acceleration), self.filter
+        parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
+        for part in parts:
             weighted += part
         square = weighted * weighted
         forget = np.exp(-self.timestep / RUNNING)
-        running, self.running[name] = filtered(np.array([1 - forget, 0.0]), np.array([1.0, -forget]), square, self.running[name])
+        mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
+        (running,), self.running[name] = filtered(*mean, square, self.running[name])
         if skip < acceleration.shape[1]:
             acceleration, square = acceleration[:, skip:], square[:, skip:]
             self._add(f"{name}_rms", _squares(acceleration))

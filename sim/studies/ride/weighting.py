@@ -8,45 +8,53 @@ d^3/560, the series of arcsine squared, compensates for this up to (omega h)^8 /
 at 2 ms. At 5 ms it is 5 % at 100 Hz, the Nyquist frequency, and 0.3 % at 40 Hz.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-FEW = 4  # signals, up to which plain numbers are faster than scipy, whose import takes half a second
+FEW, MANY = 4, 64  # signals, up to which plain numbers are faster than arrays, and these than scipy, which takes half a second
 ORDER = 2
 
 
 def filtered(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
-    """Returns filtered signals, shape (N, T), and the filter states after them, bit for bit as `scipy.signal.lfilter`.
+    """Returns signals through F filters, shape (F, N, T), and their states after them, bit for bit as `scipy.signal.lfilter`.
 
     Args:
-        b: numerator by powers of 1/z.
-        a: denominator, which begins with 1, of second order at most and no longer than the numerator.
+        b: numerators by powers of 1/z, shape (F, K).
+        a: denominators, which begin with 1, of second order at most and no longer than the numerators.
         signals: shape (N, T).
-        memory: filter states before them, shape (N, len(b) - 1).
+        memory: filter states before them, shape (F, N, K - 1).
     """
-    if len(signals) > FEW:
+    if len(signals) > MANY:
         from scipy.signal import lfilter
 
-        return lfilter(b, a, signals, zi=memory)
-    rows = [_row(b, a, *pair) for pair in zip(signals, memory, strict=True)]
-    return np.stack([out for out, _ in rows]), np.stack([after for _, after in rows])
+        parts = [lfilter(top, below, signals, zi=states) for top, below, states in zip(b, a, memory, strict=True)]
+        return np.stack([out for out, _ in parts]), np.stack([after for _, after in parts])
+    if len(signals) > FEW:
+        out, after = _recursion(b.T[:, :, None], a.T[:, :, None], signals.T[:, None], np.moveaxis(memory, 2, 0), list)
+        return np.moveaxis(out, 0, 2), np.moveaxis(after, 0, 2)
+    rows = [
+        _recursion(top, below, signal, state, np.ndarray.tolist)
+        for top, below, states in zip(b, a, memory, strict=True)
+        for signal, state in zip(signals, states, strict=True)
+    ]
+    out, after = (np.reshape([row[i] for row in rows], (len(b), len(signals), -1)) for i in (0, 1))
+    return out, after
 
 
-def _row(b: Array, a: Array, signal: Array, memory: Array) -> tuple[Array, Array]:
-    """Returns one filtered signal and the states: a transposed direct form that adds in the same order.
+def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callable[[Array], list[Any]]) -> tuple[Array, Array]:
+    """Returns filtered signals and the states, along the first axes: a transposed direct form that adds in the same order.
 
     After the first samples, which depend on the states, the taps beyond the order are sums of shifted signals.
     """
     reach = max(len(b) - 1, ORDER)
-    taps, poles = np.pad(b, (0, reach + 1 - len(b))), np.pad(a, (0, reach + 1 - len(a))).tolist()
-    state = np.pad(memory, (0, reach - len(memory))).tolist()
-    first = signal[:reach].tolist()
-    out = [_step(value, None, state, taps.tolist(), poles) for value in first]
+    taps, poles, state = (numbers(_padded(*each)) for each in ((b, reach + 1), (a, reach + 1), (memory, reach)))
+    out = [_step(value, None, state, taps, poles) for value in numbers(signal[:reach])]
     if len(signal) > reach:
         count = len(signal) - reach
         summed = signal[:count] * taps[reach]
@@ -54,16 +62,19 @@ def _row(b: Array, a: Array, signal: Array, memory: Array) -> tuple[Array, Array
             summed = summed + signal[reach - i :][:count] * taps[i]
         late, now = signal[reach - 1 :][:count] * taps[1], signal[reach:] * taps[0]
         (_, a1, a2), before, last = poles[: ORDER + 1], out[-2], out[-1]
-        for older, newer, newest in zip(summed.tolist(), late.tolist(), now.tolist(), strict=True):
+        for older, newer, newest in zip(numbers(summed), numbers(late), numbers(now), strict=True):
             before, last = last, ((older - before * a2) + newer - last * a1) + newest
             out.append(last)
-        state = [0.0] * reach
-        for value, known in zip(signal[-reach:].tolist(), out[-reach:], strict=True):
-            _step(value, known, state, taps.tolist(), poles)
+        for value, known in zip(numbers(signal[-reach:]), out[-reach:], strict=True):
+            _step(value, known, state, taps, poles)
     return np.array(out), np.array(state[: len(memory)])
 
 
-def _step(value: float, known: float | None, state: list[float], b: Sequence[float], a: Sequence[float]) -> float:
+def _padded(values: Array, length: int) -> Array:
+    return np.concatenate([values, np.zeros((length - len(values), *values.shape[1:]))])
+
+
+def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequence[Any]) -> Any:
     """Updates the states in place by one sample; returns the output, computed unless it is known."""
     out = state[0] + b[0] * value if known is None else known
     for i in range(len(state) - 1):
