@@ -31,17 +31,14 @@ GIVE = "give the model of the kind of vehicle"
 FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
-# The clock of MuJoCo's profiler, which the Python package installs. Reading it takes a third of a quarter-car's step.
+# The clock of MuJoCo's profiler, which its Python package installs: reading it takes a third of a quarter-car's step.
 _clock = ctypes.c_void_p.in_dll(ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("*mujoco.*")))), "mjcb_time")
 _installed = _clock.value
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT, because its warnings are reported otherwise, and from timing every step.
-
-    All threads share one handler.
-    """
+    """Keeps MuJoCo, in all threads, from timing steps and writing MUJOCO_LOG.TXT: its warnings are reported otherwise."""
     with _quiet_lock:
         _quiet_users[0] += 1
         mujoco.set_mju_user_warning(lambda text: None)

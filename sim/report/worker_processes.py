@@ -18,9 +18,7 @@ MOST = 3  # processes: more of them would wait for the longest piece
 
 
 def processes(quick: bool) -> int:
-    """Returns the number of worthwhile processes: 0 on one core, and for a quick report, whose pieces take little longer than the
-    imports of a process.
-    """
+    """Returns the number of worthwhile processes: 0 on one core, and for a quick report, which takes as long as their imports."""
     return 0 if quick else min(cores() - 1, MOST)
 
 

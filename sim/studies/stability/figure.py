@@ -20,7 +20,7 @@ from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.design.uncertainty.fragility import whose, worst_error_found
 
-POINTS, MEASURED = 60, 7  # of a predicted curve, and by MuJoCo's step
+POINTS, MEASURED = 40, 7  # of a predicted curve, and by MuJoCo's step
 AMOUNTS = 16  # of errors at which the worst norm is looked for
 RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
@@ -50,12 +50,11 @@ def margins_figure(
         built: the same of the implemented loop; None if that is ideal.
         box: the controller on other vehicles, or None if the kind has no variations.
     """
-    timestep = loop.timestep
+    timestep, transfer = loop.timestep, sampled_loop_transfer(vehicle, controller, loop.timestep)
 
     def rate(trial: Trial) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
-            loop = sampled_loop_transfer(vehicle, controller, timestep)
-            return math.log(abs(slowest_from_sample_to_sample(*loop, int(steps)))) / steps / timestep
+            return math.log(abs(slowest_from_sample_to_sample(*transfer, int(steps)))) / steps / timestep
         return math.log(LoopModel(trial.vehicle, trial.controller, timestep).radius) / timestep
 
     gain = loop.gain
