@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import special
+import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
 from models.common.arrays import Array
 
@@ -67,7 +67,7 @@ class Gaussian:
 
     def beyond(self, threshold: float) -> float:
         """Returns the share of time above a threshold."""
-        return statistics.fmean(float(special.ndtr(-threshold / sigma)) if sigma else 0.0 for sigma in self.sigmas)
+        return statistics.fmean(float(scipy.special.ndtr(-threshold / sigma)) if sigma else 0.0 for sigma in self.sigmas)
 
     def clipped_mean_square(self, clip: float) -> float:
         """Returns E min(x, clip)^2 for a positive clip, which may be infinite."""
@@ -119,8 +119,8 @@ class Gaussian:
         shape = self.sigma**4 / variance
         # Each level of the mean square is exceeded as rarely as the level u of a Gaussian signal of that rate.
         u = np.linspace(-5, 8, 1301)
-        below = special.ndtr(u) * np.exp(-rate / (2 * np.pi) * window * np.exp(-(u**2) / 2))
-        levels = special.gammainccinv(shape, special.ndtr(-u)) / shape
+        below = scipy.special.ndtr(u) * np.exp(-rate / (2 * np.pi) * window * np.exp(-(u**2) / 2))
+        levels = scipy.special.gammainccinv(shape, scipy.special.ndtr(-u)) / shape
         middle = (np.sqrt(levels[1:]) + np.sqrt(levels[:-1])) / 2
         return self.sigma * float(np.diff(below) @ middle + below[0] * math.sqrt(levels[0]))
 
@@ -156,7 +156,7 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
     total = np.zeros_like(z)
     for side in (1.0, -1.0):
         at = (side * mean + r * x * z) / left
-        total += left * (at * special.ndtr(at) + np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi))
+        total += left * (at * scipy.special.ndtr(at) + np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi))
     return y * float(np.trapezoid(z * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) * total, z))
 
 
@@ -165,7 +165,7 @@ def _clipped_square(sigma: float, clip: float) -> float:
     if not sigma:
         return 0.0
     a = clip / sigma
-    tail, density = float(special.ndtr(-a)), math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    tail, density = float(scipy.special.ndtr(-a)), math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
     return sigma**2 * (1 - tail - a * density + a**2 * tail)
 
 
@@ -175,6 +175,6 @@ def _hermite_of_clipped_square(k: int, a: float) -> float:
 
     def below(m: int) -> float:
         """Returns E He_m(z) over z < a."""
-        return float(special.ndtr(a)) if m == 0 else -float(special.eval_hermitenorm(m - 1, a)) * density
+        return float(scipy.special.ndtr(a)) if m == 0 else -float(scipy.special.eval_hermitenorm(m - 1, a)) * density
 
     return 2 * (below(k) + (k - 1) * below(k - 2))

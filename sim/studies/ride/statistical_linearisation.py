@@ -47,7 +47,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
 from models.common.arrays import Array
 from models.common.quadrature import sample_band
@@ -191,7 +191,7 @@ def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, f
         below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))
         return at, (above - below) / (2 * near)
     a = (curve.x - mean) / deviation
-    tails, densities = special.ndtr(-a), np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    tails, densities = scipy.special.ndtr(-a), np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
     steps, first = np.diff(curve.slopes), float(curve.slopes[0])
     slope = first + float(steps @ tails)
     force = float(curve.force[0]) + first * (mean - float(curve.x[0])) + deviation * float(steps @ (densities - a * tails))
@@ -202,7 +202,7 @@ def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
     """Returns the coefficients of a curve in the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation) [N]."""
     a = (curve.x - mean) / deviation
     weights = deviation * np.diff(curve.slopes) * np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
-    return np.array([float(weights @ special.eval_hermitenorm(n - 2, a)) / math.factorial(n) for n in DEGREES])
+    return np.array([float(weights @ scipy.special.eval_hermitenorm(n - 2, a)) / math.factorial(n) for n in DEGREES])
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
