@@ -98,15 +98,11 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     periods = [_periods(omega, timestep) for omega in worst]
     lengths = [lead_in(vehicle, one[0], timestep, of[1]) + of[1] for one, of in zip(pairs, periods, strict=True)]
     time, waves = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1], np.eye(len(wheels), dtype=complex)
-    roads = [
-        PerWheelRoad.under(vehicle, tried, STROKE * tried[0] * waves[wheel : wheel + 1], float(time[-1]))
-        for (_, wheel), (tried, _) in zip(pairs, periods, strict=True)
-    ]
-    runs = driven([controller for controller, _ in pairs], [RoadInput(vehicle, road, time) for road in roads])
-    loads = [
-        _load(vehicle, one, omega, of, run.until((length - 0.5) * timestep), static)
-        for one, omega, of, length, run in zip(pairs, worst, periods, lengths, runs, strict=True)
-    ]
+    moves = [(tried, STROKE * tried[0] * waves[i : i + 1]) for (_, i), (tried, _) in zip(pairs, periods, strict=True)]
+    roads = [RoadInput(vehicle, PerWheelRoad.under(vehicle, *each, float(time[-1])), time) for each in moves]
+    runs = driven([controller for controller, _ in pairs], roads)
+    each = zip(pairs, worst, periods, lengths, runs, strict=True)
+    loads = [_load(vehicle, one, omega, of, run.until((length - 0.5) * timestep), static) for one, omega, of, length, run in each]
     return [tuple(loads[first : first + len(wheels)]) for first in range(0, len(loads), len(wheels))]
 
 
@@ -122,10 +118,8 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
 
     If the tyre damps, its equivalent deflection counts, which has the whole force.
     """
-    response, outputs = (
-        sampled_frequency_response(vehicle, controller, omega, timestep, exponential),
-        vehicle.linear_model.outputs,
-    )
+    response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
+    outputs = vehicle.linear_model.outputs
     name = vehicle.kind.wheels[wheel].tyre_deflection
     deflection = response[:, outputs.index(name), wheel]
     if (tyre := vehicle.kind.damped_tyres(vehicle.parameters).get(name)) is not None:
@@ -160,8 +154,7 @@ def _load(
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
     ended = ended_by(vehicle, run, has_anti_windup(controller))
-    curved = bool(vehicle.fitted)
-    if ended or curved:
+    if ended or vehicle.fitted:
         (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)
         measured = max(0.0, 1 - float(limit.of(run)[-samples:].max()) / static[tyre])
     else:
@@ -170,9 +163,7 @@ def _load(
         if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
             carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])
         measured = 1 - float(np.abs(carried)) / static[tyre]
-    allowed = share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
-    if curved:
-        allowed = math.inf
+    allowed = math.inf if vehicle.fitted else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
     peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
     return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
 
