@@ -5,7 +5,6 @@ spring that does not pull along a joint. The compiled model itself is tested, so
 """
 
 import contextlib
-import ctypes
 import functools
 import threading
 from collections.abc import Iterator
@@ -31,18 +30,14 @@ GIVE = "give the model of the kind of vehicle"
 FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
-# The clock of MuJoCo's profiler, which its Python package installs: reading it takes a third of a quarter-car's step.
-_clock = ctypes.c_void_p.in_dll(ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("*mujoco.*")))), "mjcb_time")
-_installed = _clock.value
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo, in all threads, from timing steps and writing MUJOCO_LOG.TXT: its warnings are reported otherwise."""
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: its warnings are found and reported otherwise. All threads share one handler."""
     with _quiet_lock:
         _quiet_users[0] += 1
         mujoco.set_mju_user_warning(lambda text: None)
-        _clock.value = None
     try:
         yield
     finally:
@@ -50,7 +45,6 @@ def quiet() -> Iterator[None]:
             _quiet_users[0] -= 1
             if not _quiet_users[0]:
                 mujoco.set_mju_user_warning(None)
-                _clock.value = _installed
 
 
 def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
