@@ -1,9 +1,8 @@
 """Figures as data, for picture files and for pages in a browser."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class Curve:
     Attributes:
         x, y: shape (N,); NaN interrupts the line.
         label: name in the legend, where equal labels have one entry; empty for no entry.
-        name: shown at the pointer on a page. Default: the label.
+        name: name in the text alternative. Default: the label.
         color: colour as `#rrggbb`.
         dash: dash of the line.
         marker: True to mark every point.
@@ -126,6 +125,7 @@ class Classes:
         return entries
 
 
+ROOM = 0.04  # margin at both ends of an axis, as a share of its range
 WIDE = 8  # a class has room for words if it is as deep as this part of a map
 
 
@@ -214,7 +214,6 @@ class Figure:
         title: caption that explains how to read it.
         panels: panels in rows.
         columns: number of columns of panels.
-        size: size of one panel [inches].
         finding: result in one sentence, or empty.
     """
 
@@ -222,13 +221,57 @@ class Figure:
     title: str
     panels: tuple[Panel, ...]
     columns: int = 2
-    size: tuple[float, float] = (5.2, 3.5)
     finding: str = ""
 
-    @property
-    def rows(self) -> int:
-        """Number of rows of panels."""
-        return -(-len(self.panels) // self.columns)
+
+class Entry(NamedTuple):
+    """Entry of a legend: a line, a marker, both, or a patch of colour.
+
+    Attributes:
+        label: text.
+        color: colour as `#rrggbb`.
+        dash, width: style of the line; no line with `none`.
+        marker: marker of the points, or empty.
+        filled: True for full markers.
+        ground: True for an area of a map.
+    """
+
+    label: str
+    color: str
+    dash: Dash = "none"
+    width: float = 0.0
+    marker: Marker = ""
+    filled: bool = False
+    ground: bool = False
+
+
+def legend(figure: Figure) -> list[Entry]:
+    """Returns one legend entry per label, classes of a panel before its curves; line and points of one label are together."""
+    entries: dict[str, Entry] = {}
+    for panel in figure.panels:
+        if isinstance(panel.ground, Classes):
+            for name, color in panel.ground.legend:
+                entries.setdefault(name, Entry(name, color, ground=True))
+        for curve in panel.curves:
+            if not curve.label:
+                continue
+            before = entries.get(curve.label, Entry(curve.label, curve.color))
+            line = before if before.dash != "none" else before._replace(dash=curve.dash, width=curve.width)
+            entries[curve.label] = line if line.marker else line._replace(marker=curve.marker, filled=curve.filled)
+    return list(entries.values())
+
+
+def margined(values: Sequence[Array]) -> tuple[float, float]:
+    """Returns the ends of an axis that contains all numbers, with a margin."""
+    joined = np.concatenate([*values, np.zeros(0)])
+    joined = joined[np.isfinite(joined)]
+    if not len(joined):
+        return 0.0, 1.0
+    low, high = float(joined.min()), float(joined.max())
+    room = ROOM * (high - low)
+    if room <= 1e-9 * max(abs(low), abs(high)):  # one number, or its rounding
+        room = 0.1 * max(abs(low), abs(high)) or 1.0
+    return low - room, high + room
 
 
 def thinned(y: Array, every: int) -> Array:
@@ -257,15 +300,3 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
     gap = np.full((1, 2), np.nan)
     joined = np.concatenate([gap, *(part for piece in pieces for part in (np.asarray(piece), gap))])
     return joined[:, 0], joined[:, 1]
-
-
-def bands(ground: Shades, levels: Sequence[float]) -> list[list[Array]]:
-    """Returns the outlines of the areas between neighbouring levels, shapes (N, 2), holes included."""
-    from contourpy import contour_generator
-
-    contours = contour_generator(ground.x, ground.y, np.ma.masked_invalid(ground.z), fill_type="OuterOffset")
-    outlines = []
-    for low, high in itertools.pairwise(levels):
-        pieces: Any = contours.filled(low, high)
-        outlines.append([ring for points, cuts in zip(*pieces, strict=True) for ring in np.split(points, cuts[1:-1])])
-    return outlines

@@ -6,32 +6,25 @@ from html import escape
 import numpy as np
 
 from models.common.arrays import Array
-from models.document.figure import Curve, Dash, Panel
-from models.document.svg import svg
+from models.document.figure import Curve, Dash, Figure, Panel, legend
+from models.document.picture import key_svg, panel_svg
 
 POINTS = 400  # of a curve over frequency
 BLUE, RED, GREY, DARK = "#1f77b4", "#d62728", "#888888", "#404040"
-STYLE = f"""<style>
-.roadproof {{max-width: 600px; margin: 0}}
-.roadproof .area, .roadproof .line, .roadproof .point {{fill: none}}
-.roadproof .grid {{stroke: #ddd}}
-.roadproof text {{font: 12px sans-serif; fill: currentColor}}
-{"".join(f".roadproof .s-{color[1:]} {{stroke: {color}}}" for color in (BLUE, RED, GREY, DARK))}
+STYLE = """<style>
+.roadproof {max-width: 480px; margin: 0}
+.roadproof text {font: 13px sans-serif; fill: currentColor}
+.roadproof figcaption svg {width: 34px; height: 14px; vertical-align: middle}
 </style>"""
-DASHES = {"dash": "╌", "dot": "┈"}
 
 
 def notebook_figure(panel: Panel) -> str:
     """Returns a panel as an HTML figure, with title and legend as its caption."""
-    entries = [
-        f'<span style="color:{curve.color}">{3 * DASHES.get(curve.dash, "─")}</span> {escape(curve.label)}'
-        for curve in panel.curves
-        if curve.label
-    ]
-    caption = " &#8195; ".join([escape(panel.title), *entries])
-    drawn = svg(panel, "notebook", wide=True)
-    drawn = drawn.replace("plot-notebook", f"plot-{hashlib.sha256(drawn.encode()).hexdigest()[:16]}")  # one page has many figures
-    return f'{STYLE}<figure class="roadproof"><figcaption>{caption}</figcaption>{drawn}</figure>'
+    name = hashlib.sha256(repr((panel.title, [curve.y.tobytes() for curve in panel.curves])).encode()).hexdigest()[:16]
+    entries = enumerate(legend(Figure(name, "", (panel,))))
+    keys = [f"{key_svg(entry, f'{name}-{k}')} {escape(entry.label)}" for k, entry in entries]  # one page has many figures
+    caption = " &#8195; ".join([escape(panel.title), *keys])
+    return f'{STYLE}<figure class="roadproof"><figcaption>{caption}</figcaption>{panel_svg(panel, name)}</figure>'
 
 
 def gain_curve(A: Array, B: Array, C: Array, D: Array, dt: float | None = None) -> tuple[Array, Array]:

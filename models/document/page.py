@@ -1,12 +1,12 @@
 """Sections, tables and figures as one HTML file, which needs no network.
 
-Figures are inline SVG, so they appear in print, in a mail and without JavaScript; `page.js` only names the point under the
-pointer. Jinja2 fills `page.html.jinja`.
+Figures are inline SVG, and there is no script. Jinja2 fills `page.html.jinja`.
 """
 
 import base64
 import colorsys
 import hashlib
+import re
 from collections import Counter
 from dataclasses import dataclass
 from importlib import resources
@@ -16,15 +16,14 @@ from typing import Any
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.document.document import Block, Document, State, Statement, worst
-from models.document.downloads import csv_link, downloads
-from models.document.figure import Bars, Classes, Figure, Shades, Spans, rgb
-from models.document.reading import notation
+from models.document.figure import Bars, Figure, legend, rgb
+from models.document.picture import check_drawing, key_svg, panel_svg
+from models.document.reading import notation, page_text
 from models.document.sketch import Sketch, sketch_svg, symbol_html
-from models.document.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
-MANY = 4  # panels that are shown in two columns
+MANY = 4  # panels that are shown in two columns, unless they are pairs
 BRIEF = 2  # statements before the first figure or table that are shown; others that claim nothing are folded
 
 
@@ -106,16 +105,22 @@ class Page:
 def check_page() -> None:
     """Checks that pages can be made; raises an InputError if a package is missing."""
     try:
-        import contourpy  # noqa: F401
         import jinja2  # noqa: F401
     except ImportError as error:
         raise InputError(f"a report needs {error.name}; pip install 'roadproof[report]'") from None
+    check_drawing()
 
 
 def render(page: Page) -> str:
     """Returns the page as one HTML document."""
     import jinja2
 
+    figures = [figure for part in page.parts for figure in part.figures]
+    panels = {one.name: [panel_svg(panel, f"{one.name}-{k}") for k, panel in enumerate(one.panels)] for one in figures}
+    entries = {
+        one.name: [(key_svg(entry, f"{one.name}-{k}"), entry.label) for k, entry in enumerate(legend(one))] for one in figures
+    }
+    drawn = "".join([*(one for some in panels.values() for one in some), *(key for some in entries.values() for key, _ in some)])
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, finalize=_said
     )
@@ -126,19 +131,14 @@ def render(page: Page) -> str:
         leading=_leading,
         verdict=page.verdict or VERDICTS[page.state],
         mark=MARKS[page.state],
-        style=_resource("page.css") + _colors(page),
-        script=_resource("page.js"),
+        style=_resource("page.css") + _colors(drawn),
         digest=_digest,
         numbers=_Numbers(),
-        svg=svg,
-        legend=legend,
+        panels=panels,
+        entries=entries,
         sketch_svg=sketch_svg,
         symbol_html=symbol_html,
-        dashes=DASHES,
-        markers=MARKERS,
-        downloads=downloads,
         layout=_layout,
-        csv_link=csv_link,
     )
 
 
@@ -176,7 +176,7 @@ def _resource(name: str) -> str:
 
 
 def _digest(text: str) -> str:
-    """Returns the hash of a script or a style for a Content-Security-Policy."""
+    """Returns the hash of a style for a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
@@ -192,31 +192,17 @@ class _Numbers:
         return self._counts[kind]
 
 
-def _colors(page: Page) -> str:
-    """Returns CSS rules for the colours of figures: lines, points and bars have enough contrast, in light and dark mode."""
-    strokes, fills, grounds = set[str](), set[str](), set[str]()
-    for panel in (panel for part in page.parts for figure in part.figures for panel in figure.panels):
-        strokes |= {curve.color for curve in panel.curves}
-        ground = panel.ground
-        if isinstance(ground, Bars):
-            fills |= set(ground.colors)
-        elif isinstance(ground, Classes):
-            grounds |= set(ground.colors)
-        elif isinstance(ground, Spans):
-            grounds.add(ground.color)
-        elif isinstance(ground, Shades):
-            grounds |= set(shade_colors(len(levels(ground)) - 1))
-    ink = [(f".s-{color[1:]}", "stroke", color) for color in sorted(strokes)]
-    ink += [
-        (f".plot .full.s-{color[1:]}, .legend .full.s-{color[1:]}, .bars .f-{color[1:]}", "fill", color)
-        for color in sorted(strokes | fills)
+def _colors(drawn: str) -> str:
+    """Returns CSS rules for the colours of drawings in dark mode."""
+    colors = sorted(set(re.findall(r'(?:stroke|fill)="(#[0-9a-f]{6})"', drawn)))
+    rules = [
+        f'{where} [{what}="{color}"] {{ {what}: {dark(color)}; }}'
+        for where, dark in ((".plot", by_night), (".ground", ground_by_night))
+        for color in colors
+        for what in ("stroke", "fill")
+        if (where, what, color) != (".plot", "fill", "#ffffff")  # of hollow markers
     ]
-    day = [f"{where} {{ {what}: {readable(color, LIGHT)}; }}" for where, what, color in ink]
-    areas = [(f".plot .g-{color[1:]}, .legend .g-{color[1:]}", color) for color in sorted(grounds)]
-    day += [f"{where} {{ fill: {color}; }}" for where, color in areas]
-    night = [f"{where} {{ {what}: {by_night(color)}; }}" for where, what, color in ink]
-    night += [f"{where} {{ fill: {ground_by_night(color)}; }}" for where, color in areas]
-    return "\n".join([*day, "@media screen and (prefers-color-scheme: dark) {", *night, "}", ""])
+    return "\n".join(["@media screen and (prefers-color-scheme: dark) {", *rules, "}", ""])
 
 
 def by_night(color: str) -> str:
@@ -232,9 +218,7 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: one column is wide, bars are narrow, others form a grid, of two or three columns."""
+    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid, of two columns if in pairs."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    wide, high = figure.size
-    many = "" if len(figure.panels) <= MANY else "pairs" if wide > 2 * high else "three"
-    return "wide" if figure.columns == 1 else many
+    return "wide" if figure.columns == 1 else "pairs" if figure.columns == 2 and len(figure.panels) > MANY else ""

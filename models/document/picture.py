@@ -1,27 +1,34 @@
-"""Figures as picture files, drawn by matplotlib without a display."""
+"""Figures drawn by matplotlib without a display: as files, and as SVG inside pages and notebooks.
+
+Lengths are in px. A px is 1/72 inch, so a font size in px is one in points.
+"""
 
 import os
+import re
 import sys
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.files import whole_file
-from models.document.axis import Axis
-from models.document.direct_labels import direct_labels
-from models.document.figure import Bars, Classes, Figure, Panel, Shades, Spans
-from models.document.reading import notation
-from models.document.svg import Entry, legend, quoted_code
+from models.document.description import about
+from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
+from models.document.reading import cut, drawn_text, isolated, notation, quoted_code, text_width, wrapped
 
+FONT, LINE, DPI = 13, 19, 130  # font size and height of a line [px], resolution of files
+SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of a panel that has a file for itself, width of a panel of bars
+TOP, BOTTOM, RIGHT, SCALE = 24, 44, 22, 84  # margins of a panel [px], right of one with a colour scale
+ROW, BAR, KEY = 42, 12, 34  # height of a row with a bar and its name above, and of the bar; width of a line in a legend
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end
-MARGIN = 60  # about what labels of axes and titles take of a panel [points]
-ROW = 0.4  # height of a bar and its name [inches]
-TITLE, HEAD, WORDS, NOTE = 11, 10, 9, 8  # font sizes [points]
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -30,10 +37,20 @@ DASHES: dict[str, Any] = {
     "longdash": (0, (8, 2)),
     "none": "",
 }
+SETTINGS = {
+    "font.size": FONT,
+    "text.parse_math": False,
+    "axes.xmargin": 0.04,
+    "axes.ymargin": 0.04,
+    "lines.markersize": 4.5,
+    "path.simplify_threshold": 0.1,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "roadproof",
+}
 
 
 def check_drawing() -> None:
-    """Checks that pictures can be drawn.
+    """Checks that figures can be drawn.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -58,103 +75,103 @@ def _matplotlib() -> Any:
     return matplotlib
 
 
+@contextmanager
+def _settings() -> Iterator[None]:
+    matplotlib = _matplotlib()
+    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font lacks are drawn as boxes
+        yield
+
+
+class _Sheet:
+    """A matplotlib figure with places in px from its upper left corner."""
+
+    def __init__(self, width: float, height: float) -> None:
+        from matplotlib.figure import Figure as Canvas
+
+        self.width, self.height = width, height
+        self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
+
+    def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
+        """Returns a rectangle as matplotlib has it."""
+        return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
+
+    def write(self, x: float, y: float, text: str, **style: Any) -> None:
+        """Writes a line of text on the baseline y."""
+        self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
+
+    def lines(self, lines: Sequence[Sequence[tuple[float, float]]], opacity: float) -> None:
+        """Draws lines below everything else."""
+        from matplotlib.collections import LineCollection
+
+        places = [np.array([0, 1]) + np.array([1, -1]) * np.array(line) / (self.width, self.height) for line in lines]
+        style: dict[str, Any] = {"transform": self.canvas.transFigure, "zorder": -1}
+        self.canvas.add_artist(LineCollection(places, colors="black", linewidths=0.8, alpha=opacity, **style))
+
+
 def write_picture(figure: Figure, *paths: Path) -> None:
     """Writes a figure to every path, each whole or not at all. Equal figures give equal bytes.
 
     Raises:
         InputError: the picture cannot be written.
     """
-    matplotlib = _matplotlib()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font lacks are drawn as boxes
-        canvas = _drawn(figure)
-        # The layout, which takes longer than drawing, is computed once for all files.
-        layout = canvas.get_layout_engine()
-        layout.execute(canvas)
-        canvas.set_layout_engine(None)  # not "none", with which saving draws a second time, for a layout
+    with _settings():
+        canvas = _whole(figure).canvas
+        alternative = " ".join(": ".join(about(panel)) for panel in figure.panels)
         for path in paths:
-            dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
-            with whole_file(path, "picture") as beside, matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
-                canvas.savefig(beside, metadata=dateless)
+            metadata = {
+                ".svg": {"Date": None, "Title": figure.finding or figure.title, "Description": alternative},
+                ".pdf": {"CreationDate": None},
+            }
+            with whole_file(path, "picture") as beside:
+                canvas.savefig(beside, dpi=DPI, metadata=metadata.get(path.suffix.lower(), {}))
 
 
-def _drawn(figure: Figure) -> Any:
-    """Returns a matplotlib figure, high enough for its bars and its legend."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Canvas
+def panel_size(panel: Panel, size: tuple[int, int] = SIZE) -> tuple[int, int]:
+    """Returns width and height of a panel [px]."""
+    return (BARS, 30 + ROW * len(panel.ground.names)) if isinstance(panel.ground, Bars) else size
 
-    width, height = figure.size
-    bars = max((len(panel.ground.names) for panel in figure.panels if isinstance(panel.ground, Bars)), default=0)
-    height = max(height, ROW * bars + 1.0)
-    canvas = Canvas(figsize=(width * figure.columns, height * figure.rows + 1.0), dpi=130, layout="constrained")
-    FigureCanvasAgg(canvas)
-    axes = canvas.subplots(figure.rows, figure.columns, squeeze=False).ravel()
-    for axis, panel in zip(axes, figure.panels, strict=False):
-        _draw_panel(axis, panel, width - 0.5)
-    for axis in axes[len(figure.panels) :]:
-        axis.set_visible(False)
+
+def _whole(figure: Figure) -> _Sheet:
+    """Returns a figure with its finding, title, legend and all panels."""
+    columns = min(figure.columns, len(figure.panels))
+    sizes = [panel_size(panel, WIDE if figure.columns == 1 else SIZE) for panel in figure.panels]
+    wide, high = (max(ends) for ends in zip(*sizes, strict=True))
+    width = max(wide * columns, WIDE[0])
+    words = [(wrapped(notation(text), width - 20, FONT), style) for text, style in ((figure.finding, "bold"), (figure.title, ""))]
+    lines = [(line, style or "normal") for some, style in words for line in some]
     entries = legend(figure)
-    columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
     names = [one.label if " " in one.label else middle_cut(one.label) for one in entries]
-    room = width * figure.columns - 0.2
-    note = _broken(notation(figure.title), room, NOTE) if figure.finding else ""
-    canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
-    columns = max(columns, 1) if note else columns
-    while columns:  # as many as fit
-        drawn = canvas.legend(
+    across = max((text_width(name, FONT) + KEY + 24 for name in names), default=1.0)
+    keys = max(1, min(len(entries), int((width - 10) / across)))
+    titles = [wrapped(notation(panel.title), wide - 10, FONT) for panel in figure.panels]
+    heads = [max(map(len, titles[k : k + columns])) for k in range(0, len(titles), columns)]
+    top = 8 + LINE * len(lines)
+    start = top + LINE * -(-len(entries) // keys) + 12
+    sheet = _Sheet(width, start + sum(heads) * LINE + (high + 8) * len(heads))
+    for k, (line, weight) in enumerate(lines):
+        sheet.write(10, 20 + LINE * k, line, weight=weight)
+    if entries:
+        sheet.canvas.legend(
             [_key(one) for one in entries],
             names,
-            loc="outside lower center",
-            ncols=columns,
-            fontsize=WORDS,
+            loc="upper left",
+            bbox_to_anchor=(6 / width, 1 - top / sheet.height),
+            ncols=keys,
             frameon=False,
-            title=note or None,
-            title_fontproperties={"size": NOTE},
+            borderpad=0.2,
+            labelspacing=LINE / FONT - 1.25,
+            handlelength=KEY / FONT,
         )
-        if columns == 1 or drawn.get_window_extent().width <= room * canvas.dpi:
-            canvas.set_figheight(canvas.get_figheight() + 0.18 * (-(-len(names) // columns) - 1))
-            break
-        drawn.remove()
-        columns -= 1
-    canvas.suptitle(_broken(notation(figure.finding or figure.title), room, TITLE), fontsize=TITLE)
-    return canvas
-
-
-def _key(entry: Entry) -> Any:
-    """Returns the line, the marker or the patch of a legend's entry."""
-    from matplotlib.lines import Line2D
-
-    if entry.ground:
-        return Line2D([], [], color=entry.color, linestyle="", marker="s", markersize=9)
-    return Line2D([], [], linestyle=DASHES[entry.dash], linewidth=entry.width, **_look(entry.color, entry.marker, entry.filled))
-
-
-def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
-    """Returns colour and marker as keywords of matplotlib."""
-    inner = None if filled or marker in ("x", "+") else "white"
-    return {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": inner}
-
-
-def _width(text: str, size: float) -> float:
-    """Returns the width of a line of text [inches] at a font size [points]."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import TextToPath
-
-    return TextToPath().get_text_width_height_descent(text, FontProperties(size=size), ismath=False)[0] / 72
-
-
-def _broken(text: str, room: float, size: float) -> str:
-    """Returns a text broken at spaces into lines of at most this width [inches]."""
-    lines: list[str] = []
-    for line in quoted_code(text).split("\n"):
-        lines.append("")
-        for word in line.split(" "):
-            longer = f"{lines[-1]} {word}".lstrip()
-            if lines[-1] and _width(longer, size) > room:
-                lines.append(_cut(word, room, size))
-            else:
-                lines[-1] = _cut(longer, room, size)
-    return "\n".join(lines)
+    for k, (panel, title) in enumerate(zip(figure.panels, titles, strict=True)):
+        row, column = divmod(k, columns)
+        down = start + sum(heads[:row]) * LINE + (high + 8) * row
+        for i, line in enumerate(title):
+            sheet.write(
+                wide * column + 10, down + LINE * (i + heads[row] - len(title)) + 12, line, weight="normal" if i else "bold"
+            )
+        _draw(sheet, panel, wide * column, down + heads[row] * LINE, sizes[k])
+    return sheet
 
 
 def middle_cut(name: str) -> str:
@@ -162,104 +179,240 @@ def middle_cut(name: str) -> str:
     return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[len(name) - (LONGEST - 1) // 2 :]}"
 
 
-def _cut(name: str, room: float, size: float) -> str:
-    """Returns a name, shortened at its end to fit into `room` [inches]."""
-    if _width(name, size) <= room:
-        return name
-    while name and _width(f"{name}…", size) > room:
-        name = name[:-1]
-    return f"{name}…"
+def _key(entry: Entry, x: Sequence[float] = (), y: Sequence[float] = ()) -> Any:
+    """Returns the line, the marker or the patch of a legend's entry."""
+    from matplotlib.lines import Line2D
+
+    if entry.ground:
+        return Line2D(
+            x, y, color=entry.color, linestyle="", marker="s", markersize=11, markevery=[1] if x else None, gid="ground"
+        )
+    look = _look(entry.color, entry.marker, entry.filled)
+    return Line2D(x, y, linestyle=DASHES[entry.dash], linewidth=entry.width, markevery=[1] if x else None, **look)
 
 
-def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
-    """Draws a panel on axes of about this width [inches]."""
-    ground = panel.ground
+def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
+    """Returns colour and marker as keywords of matplotlib."""
+    return {"color": color, "marker": marker, "markerfacecolor": None if filled or marker in ("x", "+") else "white"}
+
+
+def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int, int]) -> None:
+    """Draws a panel with its upper left corner at a place."""
+    axis = sheet.canvas.add_axes((0, 0, 1, 1), facecolor="none")
+    if isinstance(panel.ground, Bars):
+        _draw_bars(sheet, axis, panel, panel.ground, left, top)
+        return
+    axis.set(xscale="log" if panel.xlog else "linear", yscale="log" if panel.ylog else "linear")
+    image = _draw_ground(axis, panel.ground)
+    for curve in panel.curves:
+        _draw_curve(axis, curve, cut_off=not isinstance(panel.ground, Shades))  # markers at corners of shades are whole
+    axis.set(xlim=panel.xlim, ylim=panel.ylim)
+    down, names = _ticks(axis.get_ylim(), panel.ylog)
+    inner = 12 + max((text_width(name, FONT) for name in names), default=0.0)
+    width, height = size[0] - inner - (SCALE if image is not None else RIGHT), size[1] - TOP - BOTTOM
+    left, bottom = left + inner, top + TOP + height
+    axis.set_position(sheet.box(left, top + TOP, width, height))
+    axis.set_axis_off()  # with ticks of matplotlib's, a panel takes twice as long
+    sheet.lines([[(left, top + TOP), (left, bottom), (left + width, bottom), (left + width, top + TOP), (left, top + TOP)]], 0.35)
+    grid, lines = panel.ground is None, []
+    for share, name in zip(_places(axis, down, 1), names, strict=True):
+        y = bottom - height * share
+        lines.append([(left - 4 * (not grid), y), (left + width * grid, y)])
+        sheet.write(left - 7, y + 0.36 * FONT, name, ha="right")
+    across, names = _ticks(axis.get_xlim(), panel.xlog, panel.xticks, panel.xnames)
+    for share, name in zip(_places(axis, across, 0), names, strict=True):
+        x = left + width * share
+        lines.append([(x, bottom + 4 * (not grid)), (x, bottom - height * grid)])
+        sheet.write(x, bottom + 18, name, ha="center")
+    sheet.lines(lines, 0.15 if grid else 1)
+    sheet.write(left - inner + 4, top + 14, panel.ylabel)
+    sheet.write(left + width / 2, bottom + BOTTOM - 8, panel.xlabel, ha="center")
+    if isinstance(panel.ground, Spans):
+        _name_spans(sheet, axis, panel.ground, left, bottom - 8, width)
+    elif isinstance(panel.ground, Shades) and image is not None:
+        scale = sheet.canvas.add_axes(sheet.box(left + width + 14, top + TOP, 12, height))
+        colors = sheet.canvas.colorbar(image, cax=scale)
+        colors.solids.set_gid("ground")
+        ticks, labels = _ticks(scale.get_ylim(), log=False)
+        colors.set_ticks(ticks, labels=labels)
+        sheet.write(left - inner + size[0] - 4, top + 14, panel.ground.label, ha="right")
+
+
+def _draw_bars(sheet: _Sheet, axis: Any, panel: Panel, bars: Bars, left: float, top: float) -> None:
+    count, width = len(bars.names), BARS - 8
+    lengths = np.concatenate([bars.values, *(curve.x for curve in panel.curves)])
+    axis.barh(np.arange(count), np.nan_to_num(bars.values), BAR / ROW, color=bars.colors)
+    for curve in panel.curves:
+        _draw_curve(axis, curve, cut_off=False)
+    axis.set(xlim=(0, 1.02 * np.max(lengths[np.isfinite(lengths)], initial=0.0) or 1.0), ylim=(count - 0.5, -0.5))
+    axis.set_axis_off()
+    axis.set_position(sheet.box(left + 4, top + 4, width, ROW * count))
+    for k, (name, words) in enumerate(zip(bars.names, bars.words, strict=True)):  # text above each bar
+        sheet.write(left + 4, top + ROW * k + 14, cut(name, width - text_width(words, FONT) - 10, FONT))
+        sheet.write(left + 4 + width, top + ROW * k + 14, words, ha="right")
+    sheet.write(left + 4, top + ROW * count + 20, panel.xlabel)
+
+
+def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> Any:
+    """Draws a ground; returns the shades that need a colour scale, or None."""
     if isinstance(ground, Classes):
-        from matplotlib.colors import ListedColormap
+        from matplotlib.patches import PathPatch
 
-        count = len(ground.colors)
+        for i, color in enumerate(ground.colors):
+            if np.any(ground.kind == i):
+                cells = _cells(ground.kind == i, ground.x, ground.y)
+                axis.add_patch(PathPatch(cells, facecolor=color, linewidth=0, antialiased=False, gid="ground", zorder=0))
         for text, row, column in ground.labels:
-            axis.text(ground.x[column], ground.y[row], text, fontsize=WORDS, ha="center", va="center")
-        axis.pcolormesh(ground.x, ground.y, ground.kind, cmap=ListedColormap(ground.colors), vmin=-0.5, vmax=count - 0.5)
+            axis.text(ground.x[column], ground.y[row], text, ha="center", va="center")
+        axis.set(xlim=_edges(ground.x)[[0, -1]], ylim=_edges(ground.y)[[0, -1]])
     elif isinstance(ground, Shades):
-        image = axis.contourf(ground.x, ground.y, np.ma.masked_invalid(ground.z), levels=14, cmap="YlOrBr")
-        axis.figure.colorbar(image, ax=axis, label=ground.label)
-    elif isinstance(ground, Bars):
-        count = len(ground.names)
-        axis.barh(np.arange(count), np.nan_to_num(ground.values), 0.3, color=ground.colors)
-        for k, (name, words) in enumerate(zip(ground.names, ground.words, strict=True)):  # text above each bar, as on the page
-            style: dict[str, Any] = {"fontsize": WORDS, "va": "bottom", "transform": axis.get_yaxis_transform()}
-            shown = _cut(name, width - _width(words, WORDS) - 0.3, WORDS)
-            axis.text(0.01, k - 0.2, shown, **style)
-            axis.text(0.99, k - 0.2, words, ha="right", **style)
-        axis.set_yticks([])
-        axis.set_ylim(count - 0.5, -0.7)
+        axis.set(xlim=(ground.x[0], ground.x[-1]), ylim=(ground.y[0], ground.y[-1]))
+        if np.isfinite(ground.z).any():
+            z = np.ma.masked_invalid(ground.z)
+            return axis.contourf(ground.x, ground.y, z, levels=12, cmap="YlOrBr", gid="ground")
     elif isinstance(ground, Spans):
         for low, high in ground.ends:
-            axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
-    for curve in panel.curves:
-        axis.plot(
-            curve.x,
-            curve.y,
-            linestyle=DASHES[curve.dash],
-            linewidth=curve.width,
-            **_look(curve.color, curve.marker, curve.filled),
-            zorder=3 if curve.marker else 2,
-            clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # markers at corners are not cut
-        )
-    if panel.xlog:
-        axis.set_xscale("log")
-    if panel.ylog:
-        axis.set_yscale("log")
-    if panel.xticks:
-        axis.set_xticks(panel.xticks, panel.xnames or [f"{tick:g}" for tick in panel.xticks])
-        axis.tick_params(axis="x", which="minor", labelbottom=False)
-    if not isinstance(ground, Bars):
-        axis.set(xlim=panel.xlim, ylim=panel.ylim)
-        _label_decades(axis, panel)
-    if isinstance(ground, Spans):
-        for (low, high), name in zip(ground.ends, ground.names, strict=True):
-            left, right = (min(max(end, axis.get_xlim()[0]), axis.get_xlim()[1]) for end in (low, high))
-            middle = (left * right) ** 0.5 if panel.xlog else (left + right) / 2
-            at = {"transform": axis.get_xaxis_transform(), "fontsize": NOTE, "ha": "center", "va": "bottom", "color": "0.35"}
-            axis.text(middle, 0.02, _cut(name, width, NOTE), **at)
-    _write_labels(axis, panel)
-    axis.set_title(_broken(panel.title, width, HEAD), fontsize=HEAD)
-    axis.set_xlabel(panel.xlabel, fontsize=WORDS)
-    axis.set_ylabel(panel.ylabel, fontsize=WORDS)
-    if ground is None:
-        axis.grid(which="major", color="0.88", linewidth=0.7)
+            axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0, gid="ground")
+    return None
 
 
-def _write_labels(axis: Any, panel: Panel) -> None:
-    """Writes the names of lines beside them."""
-    from matplotlib.patheffects import withStroke
+def _edges(centres: Array) -> Array:
+    """Returns the ends of equidistant cells."""
+    half = (centres[-1] - centres[0]) / (2 * max(1, len(centres) - 1))
+    return np.append(centres - half, centres[-1] + half)
 
-    width, height = (72 * inches - MARGIN for inches in axis.figure.get_size_inches() / _grid(axis))  # points, before the layout
-    inside, points = axis.transData + axis.transAxes.inverted(), []
-    for curve in panel.curves:
+
+def _cells(there: Array, x: Array, y: Array) -> Any:
+    """Returns the outline of cells: one rectangle for each run of cells in a row."""
+    from matplotlib.path import Path as Outline
+
+    across, down = _edges(x), _edges(y)
+    row, first = np.nonzero(np.diff(there, axis=1, prepend=False, append=False))
+    (row, first, last) = row[::2], across[first[::2]], across[first[1::2]]
+    low, high = down[row], down[row + 1]
+    corners = np.stack([first, low, last, low, last, high, first, high, first, low], axis=1).reshape(-1, 2)
+    codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(row)
+    return Outline(corners, codes)
+
+
+def _draw_curve(axis: Any, curve: Curve, cut_off: bool) -> None:
+    axis.plot(
+        curve.x,
+        curve.y,
+        linestyle=DASHES[curve.dash],
+        linewidth=curve.width,
+        **_look(curve.color, curve.marker, curve.filled),
+        zorder=3 if curve.marker else 2,
+        clip_on=cut_off or not len(curve.x),
+    )
+
+
+def _ticks(
+    limits: tuple[float, float], log: bool, given: Sequence[float] = (), names: Sequence[str] = ()
+) -> tuple[Sequence[float], Sequence[str]]:
+    """Returns the ticks of an axis and their labels."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    low, high = sorted(limits)
+    decades = np.log10(high) - np.log10(low) if log else 0.0
+    if not given:
+        subs = (1, 2, 5) if decades < 1.6 else (1, 3) if decades < 3.2 else (1,)
+        locator = LogLocator(subs=subs, numticks=7) if decades > 0.7 else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
         with np.errstate(all="ignore"):
-            at = inside.transform(np.column_stack([curve.x, curve.y]).astype(float))
-        points.append((width * at[:, 0], height * at[:, 1]))
-    halo = [withStroke(linewidth=2.5, foreground="white")]
-    for one in direct_labels(panel, points, (width, height), lambda text: 72 * _width(text, NOTE) + 2, NOTE + 1):
-        place: dict[str, Any] = {"transform": axis.transAxes, "fontsize": NOTE, "ha": "center", "va": "center"}
-        axis.text(one.x / width, one.y / height, one.text, path_effects=halo, zorder=4, **place)
+            room = 1e-9 * (high - low)
+            given = [float(tick) + 0.0 for tick in locator.tick_values(low, high) if low - room <= tick <= high + room]
+    texts = [f"{tick:.6g}" for tick in given]
+    if not log and not names and not any("e" in text for text in texts):
+        decimals = max((len(text.partition(".")[2]) for text in texts), default=0)
+        texts = [f"{tick:.{decimals}f}" for tick in given]
+    return given, names or [re.sub(r"^1·", "", notation(text)).replace("-", "−") for text in texts]
 
 
-def _grid(axis: Any) -> tuple[int, int]:
-    """Returns the columns and rows of the figure of some axes."""
-    rows, columns = axis.get_subplotspec().get_gridspec().get_geometry()
-    return columns, rows
+def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[float]:
+    """Returns the places of values on an axis, from 0 to 1, horizontally or vertically."""
+    points = np.empty((len(values), 2))
+    points[:, which], points[:, 1 - which] = values, (axis.get_ylim, axis.get_xlim)[which]()[0]
+    return (axis.transScale + axis.transLimits).transform(points)[:, which].tolist()
 
 
-def _label_decades(axis: Any, panel: Panel) -> None:
-    """Labels logarithmic axes as a page does: 0.1, 1, 10 rather than powers beside plain numbers."""
-    for log, of, limits, given in (
-        (panel.xlog, axis.xaxis, axis.get_xlim(), panel.xticks),
-        (panel.ylog, axis.yaxis, axis.get_ylim(), ()),
-    ):
-        if log and not given and limits[0] > 0:
-            ticks = Axis(*limits, log=True).ticks(6)
-            of.set_ticks([tick for tick, _ in ticks], [text for _, text in ticks])
-            of.set_tick_params(which="minor", labelleft=False, labelbottom=False)
+def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, width: float) -> None:
+    """Writes the names of spans at their middles."""
+    low, high = axis.get_xlim()
+    for ends, name in zip(spans.ends, spans.names, strict=True):
+        first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)
+        sheet.write(left + width * (first + last) / 2, y, cut(name, max(width * (last - first), 60), FONT), ha="center")
+
+
+# SVG inside a page: text stays text; presentation attributes instead of styles, which a page's policy refuses; no identifiers but
+# those that are referred to; two decimals.
+
+OF_GROUPS = re.compile(r'<g id="(?!ground")[^"]*"')
+MARK = "\0"
+STYLE = re.compile(r' style="([^"]*)"')
+TEXT = re.compile(r"(<text[^>]*>)([^<]*)(</text>)")
+CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""))
+
+
+def panel_svg(panel: Panel, name: str) -> str:
+    """Returns a panel as an `svg` element with the identifier `plot-` and this name, and a text alternative."""
+    width, height = size = panel_size(panel)
+    with _settings():
+        sheet = _Sheet(width, height)
+        _draw(sheet, panel, 0, 0, size)
+        drawn = _inside(sheet)
+    identifier = drawn_text(f"plot-{name}")
+    title, text = about(panel)
+    kind = "plot bars" if isinstance(panel.ground, Bars) else "plot"
+    return (
+        f'<svg class="{kind}" id="{identifier}" role="img" aria-labelledby="{identifier}-title {identifier}-text" '
+        f'viewBox="0 0 {width} {height}"><title id="{identifier}-title">{drawn_text(title)}</title>'
+        f'<desc id="{identifier}-text">{drawn_text(text)}</desc>{drawn.replace(MARK, f"{identifier}-")}</svg>'
+    )
+
+
+def key_svg(entry: Entry, name: str) -> str:
+    """Returns the line, the marker or the patch of a legend's entry as an `svg` element that readers of text pass over."""
+    drawn = _key_inside(Entry("", *entry[1:])).replace(MARK, f"key-{name}-")
+    return f'<svg class="plot" viewBox="0 0 {KEY} 14" aria-hidden="true">{drawn}</svg>'
+
+
+@lru_cache(maxsize=256)
+def _key_inside(entry: Entry) -> str:
+    with _settings():
+        sheet = _Sheet(KEY, 14)
+        sheet.canvas.add_artist(_key(entry, (0, 0.5, 1), (0.5, 0.5, 0.5)))
+        return _inside(sheet)
+
+
+def _inside(sheet: _Sheet) -> str:
+    """Returns the elements of a drawing, with `MARK` in front of identifiers."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    sheet.canvas.patch.set_visible(False)
+    file = StringIO()
+    FigureCanvasSVG(sheet.canvas).print_svg(file, metadata={"Date": None})
+    drawn = file.getvalue()
+    drawn = drawn[drawn.index('<g id="figure_1">') : drawn.rindex("</svg>")]
+    for pattern, to in CLEAN:
+        drawn = re.sub(pattern, to, drawn)
+    drawn = OF_GROUPS.sub("<g", drawn).replace('<g id="ground"', '<g class="ground"')
+    pieces = TEXT.split(drawn)
+    for k, piece in enumerate(pieces):
+        if k % 4 == 2:
+            pieces[k] = isolated(piece)
+        else:
+            piece = STYLE.sub(_attributes, piece)
+            piece = re.sub(r"(\.\d\d)\d+", r"\1", piece).replace("#000000", "currentColor").replace("xlink:href", "href")
+            pieces[k] = re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", piece)
+    return "".join(pieces)
+
+
+def _attributes(style: re.Match[str]) -> str:
+    return _as_attributes(style[1])
+
+
+@lru_cache(maxsize=1024)
+def _as_attributes(style: str) -> str:
+    """Returns a style as presentation attributes, without its font, which a page chooses."""
+    pairs = (part.split(": ", 1) for part in style.split("; "))
+    return "".join(f' {name}="{value}"' for name, value in pairs if not name.startswith("font"))

@@ -3,14 +3,15 @@
 import csv
 import io
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from html import escape
 from itertools import count
 from string import ascii_lowercase
 
-from models.document.axis import SUPERSCRIPT
-
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?( %)?")
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED = re.compile(r"\b(m|rad)/s2\b")
@@ -19,6 +20,11 @@ DIGITS = 3  # that a number keeps where a column has fixed decimals
 LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
 MANY = 10  # rows; a longer table is folded
+LONG_NAME = 16  # letters; a line may break within longer names
+OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
+# A name ends at spaces and punctuation other than - and _.
+NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
+NARROW, BROAD, FULL = 0.64, 1.0, 1.04  # widths of most letters, wide ones and East Asian ones, as a share of the font size
 
 
 @dataclass(frozen=True)
@@ -165,3 +171,69 @@ def aligned(column: Sequence[str]) -> list[str]:
             number += ("" if decimals else "\u2008") + "\u2007" * (most - decimals)  # as wide as a point, and as digits
         texts.append(number.replace("-", "−") + (one[5] or ""))
     return texts
+
+
+# A page's texts are English, and names of controllers and files may be from right to left. Such a name would reverse the order of
+# numbers and commas next to it (Unicode Bidirectional Algorithm, UAX #9); an isolate prevents that.
+
+
+def isolated(text: str) -> str:
+    """Returns a text with characters that isolate its names from right to left."""
+    return NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text)
+
+
+def drawn_text(text: str) -> str:
+    """Returns a text for SVG and attributes: escaped, with isolated names and quoted code."""
+    return escape(quoted_code(isolated(text)))
+
+
+def quoted_code(text: str) -> str:
+    """Returns a text with quotes instead of backticks, where no other font can show a name."""
+    return text.replace("`", "'")
+
+
+def page_text(text: str) -> str:
+    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, within which lines may break.
+
+    What is in backticks is a `code` element.
+    """
+    pieces, at = [], 0
+    for name in NAME.finditer(text):
+        if _leftward(name[0]) or len(name[0]) > LONG_NAME:
+            pieces += [escape(text[at : name.start()]), f"<bdi>{escape(name[0])}</bdi>"]
+            at = name.end()
+    return re.sub("`([^`]+)`", r"<code>\1</code>", "".join([*pieces, escape(text[at:])]))
+
+
+def _leftward(name: str) -> bool:
+    return not name.isascii() and any(unicodedata.bidirectional(letter) in ("R", "AL", "AN") for letter in name)
+
+
+def text_width(text: str, size: float) -> float:
+    """Returns an upper estimate of the width of a text, in the unit of the font size."""
+    full = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
+    broad = sum(letter in "mw%@&" or letter.isupper() for letter in text)
+    return size * (FULL * full + BROAD * broad + NARROW * (len(text) - full - broad))
+
+
+def cut(text: str, room: float, size: float) -> str:
+    """Returns a text, shortened at its end if it is wider than `room`."""
+    if text_width(text, size) <= room:
+        return text
+    while text and text_width(f"{text}…", size) > room:
+        text = text[:-1]
+    return f"{text}…"
+
+
+def wrapped(text: str, room: float, size: float) -> list[str]:
+    """Returns a text as lines that are no wider than `room`, broken at spaces; a longer word is cut."""
+    lines = list[str]()
+    for part in text.splitlines():
+        lines.append("")
+        for word in part.split():
+            longer = f"{lines[-1]} {word}".strip()
+            if lines[-1] and text_width(longer, size) > room:
+                lines.append(cut(word, room, size))
+            else:
+                lines[-1] = cut(longer, room, size)
+    return lines

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from html import escape
 
-from models.document.svg import drawn_text
+from models.document.reading import drawn_text
 
 Part = tuple[str, str]  # "spring", "damper", "adjustable damper" or "force", and its symbol, as in "k_s"
 GREEK = {"phi": "φ", "theta": "θ"}

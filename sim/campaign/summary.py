@@ -293,7 +293,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
         + (" Crosses: with force actuators instead of semi-active dampers." if crossed else "")
         + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
     )
-    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=finding)
+    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), finding=finding)
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:

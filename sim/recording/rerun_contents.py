@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram over the largest value
-TICKS = 5  # of a diagram's axis, about
 GROUND = 13  # red, green and blue of Rerun's ground
 READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
@@ -114,8 +113,6 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
     """Logs a force over its argument as a 2D drawing of 2 by 2 units, y down, as Rerun plots only over time."""
-    from models.document.axis import Axis  # of dampers and springs with a diagram alone
-
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
 
@@ -127,8 +124,10 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
     recording.log(f"{path}/axes", rr.LineStrips2D(axes, colors=[(110, 110, 110)], radii=rr.Radius.ui_points(0.7)), static=True)
     texts, points = list[str](), list[tuple[float, float]]()
     for k, (end, unit) in enumerate(((far, one.argument.unit), (high, one.pull.unit))):
-        for tick, text in Axis(-end / ROOM, end / ROOM).ticks(TICKS):
-            texts.append(f"{text} {unit}")
+        step = 10 ** np.floor(np.log10(end / ROOM))
+        step *= np.floor(end / ROOM / step) / 2
+        for tick in (step * np.arange(-2, 3)).tolist():
+            texts.append(f"{tick:g} {unit}")
             points.append((tick, 0.0) if k == 0 else (0.0, tick))
     for each in one.lines:
         height = each.force(grid)

@@ -321,19 +321,16 @@ def _parser() -> Parser:
 
 
 def _write_figures(page: "Page", folder: Path) -> None:
-    """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
+    """Writes every figure as SVG and PNG and every table as CSV, each whole or not at all."""
     from models.common.files import whole_file
-    from models.document.downloads import figure_svg
     from models.document.picture import write_picture
 
     for part in page.parts:
-        texts = {f"{table.name}.csv": table.csv for table in part.tables}
         for figure in part.figures:
-            write_picture(figure, folder / f"{figure.name}.png")
-            texts[f"{figure.name}.svg"] = figure_svg(figure)
-        for name, text in texts.items():
-            with whole_file(folder / name, "table" if name.endswith(".csv") else "picture") as beside:
-                beside.write_text(text, encoding="utf-8", newline="")
+            write_picture(figure, *(folder / f"{figure.name}{suffix}" for suffix in (".svg", ".png")))
+        for table in part.tables:
+            with whole_file(folder / f"{table.name}.csv", "table") as beside:
+                beside.write_text(table.csv, encoding="utf-8", newline="")
 
 
 def _others(page: "Page", folder: Path) -> list[str]:

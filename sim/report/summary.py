@@ -67,7 +67,7 @@ def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[st
         words = tuple(f"{value:.2g}°" if math.isfinite(value) else "-" for value in values.tolist())
         panels.append(Panel("Dive under 0.5 g of braking", "largest dive [deg]", "", (), Bars(names, values, words, colors)))
     title = f"Shorter bars are better, ★ is the best. {where}. Percentages are against {as_name(PASSIVE)}."
-    return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), size=(3.4, 2.0), finding=f"{headline(compared)}.")
+    return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
 
 
 def trust_section(

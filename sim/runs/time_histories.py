@@ -8,8 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.document.axis import Axis, axis_of
-from models.document.figure import Curve, Figure, Panel, Style, styles, thinned
+from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.response.response import Response
 from sim.runs.run import Run
@@ -50,10 +49,10 @@ class _Trace:
         physics = self.physics if self.bounded else self.physics.until(self.until)
         return np.concatenate([self.line[self.name], physics[self.name]])
 
-    def left(self, axis: Axis) -> float:
-        """Returns the time at which MuJoCo first leaves the axis [s], or infinity."""
+    def left(self, low: float, high: float) -> float:
+        """Returns the time at which MuJoCo first leaves the axis from `low` to `high` [s], or infinity."""
         values = self.physics[self.name]
-        outside = ~((axis.low <= values) & (values <= axis.high))
+        outside = ~((low <= values) & (values <= high))
         return float(self.physics.time[outside.argmax()]) if outside.any() else math.inf
 
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
@@ -126,9 +125,9 @@ def history_panels(
         if not any(len(trace.values) for trace in traces):
             continue
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
-        axis = axis_of(_seen(traces), None, log=False)
+        low, high = margined(_seen(traces))
         dense = during is None and max(_swings(trace.physics[name]) for trace in traces) > MOST_SWINGS
-        left = [trace.left(axis) for trace in traces]
+        left = [trace.left(low, high) for trace in traces]
         curves = [
             curve
             for trace, at in zip(traces, left, strict=True)
@@ -140,9 +139,7 @@ def history_panels(
         named = ", ".join(f"{as_name(who)} at {at:.3g} s" for at, who in gone[:NAMED])
         more = f" and {len(gone) - NAMED} more" if len(gone) > NAMED else ""
         title += f"\nleaves the axis: {named}{more}" if gone and not during else ""
-        panels.append(
-            Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(axis.low, axis.high))
-        )
+        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(low, high)))
     return panels
 
 
@@ -216,10 +213,10 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     panels = history_panels(runs, looks, _bounded, continuous=False)
     if not panels:
         return None
-    columns, size, note = columns_of(panels), (5.0, 3.2), ""
+    columns, note = columns_of(panels), ""
     if (during := _hardest_stretch(runs)) is not None:
         near = history_panels(runs, looks, _bounded, continuous=False, during=during)
-        panels, columns, size = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2, (6.5, 2.6)
+        panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
         note = f". Each signal over all of the run, then from {during[0]:.4g} to {during[1]:.4g} s"
     broken = [
         f"{as_name(run.controller.name)} broke off at {off[1]:.3g} s ({off[0]})"
@@ -229,7 +226,7 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     note += f". {', '.join(broken)}" if broken else ""
     kind = " and ".join(dict.fromkeys(run.vehicle.kind.name.replace("_", " ") for run in runs))
     title = f"{kind} over {where}. {lines_text(panels, 'exact sampled response', all(map(_bounded, runs)))}{note}"
-    return Figure("runs", title, tuple(panels), columns, size, finding=_least(runs))
+    return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
 
 
 def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:

@@ -51,7 +51,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
     )
     least = min((one for one in curves if one.label), key=lambda one: float(np.max(one.y)))
     finding = f"{least.label} has the lowest peak: {float(np.max(least.y)):.4g}." if len(stable) > 1 else ""
-    return Figure("responses", title, (panel,), 1, (7.0, 4.5), finding)
+    return Figure("responses", title, (panel,), 1, finding)
 
 
 def _bands(vehicle: Vehicle, rows: Sequence[Row]) -> list[tuple[float, float]]:

@@ -222,7 +222,7 @@ def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) ->
 def _figure(controller: Controller, cells: Cells, title: str, panel: Panel) -> Figure:
     holds = float(np.mean(cells.predicted < 0))
     finding = f"With {as_name(controller.name)} nothing breaks over {percent(holds)} of these bumps."
-    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
+    return Figure("envelope", title, (panel,), columns=1, finding=finding)
 
 
 def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:

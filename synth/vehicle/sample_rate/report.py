@@ -226,7 +226,7 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
         "ends where the loop is unstable"
     )
     panels = tuple(_panel(one, periods) for one in costs)
-    return Figure("rates", title, panels) if len(panels) > 1 else Figure("rates", title, panels, 1, (6.5, 4.0))
+    return Figure("rates", title, panels, min(2, len(panels)))
 
 
 def _panel(one: Cost, periods: Sequence[float]) -> Panel:

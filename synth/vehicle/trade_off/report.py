@@ -218,7 +218,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none of which another beats in all"
     if len(panels) > 1:
         return Figure("front", title, panels, 3)
-    return Figure("front", title, panels, 1, (6.5, 4.6))
+    return Figure("front", title, panels, 1)
 
 
 def line(limit: LowerBoundCurve, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
