@@ -348,6 +348,7 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
 
 OF_GROUPS = re.compile(r'<g id="(?!ground")[^"]*"')
 MARK = "\0"
+SHAPE = re.compile(r'(<path id="[^"]*" d="[^"]*") stroke="[^"]*"')  # what refers to it has the colour, which a page may change
 STYLE = re.compile(r' style="([^"]*)"')
 TEXT = re.compile(r"(<text[^>]*>)([^<]*)(</text>)")
 CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""))
@@ -403,6 +404,7 @@ def _inside(sheet: _Sheet) -> str:
         else:
             piece = STYLE.sub(_attributes, piece)
             piece = re.sub(r"(\.\d\d)\d+", r"\1", piece).replace("#000000", "currentColor").replace("xlink:href", "href")
+            piece = SHAPE.sub(r"\1", piece)
             pieces[k] = re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", piece)
     return "".join(pieces)
 
