@@ -23,10 +23,11 @@ from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
 from models.document.reading import cut, drawn_text, isolated, notation, quoted_code, text_width, wrapped
 
-FONT, LINE, DPI = 13, 19, 130  # font size and height of a line [px], resolution of files
-SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of a panel that has a file for itself, width of a panel of bars
-TOP, BOTTOM, RIGHT, SCALE = 24, 44, 22, 84  # margins of a panel [px], right of one with a colour scale
-ROW, BAR, KEY = 42, 12, 34  # height of a row with a bar and its name above, and of the bar; width of a line in a legend
+FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
+SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
+EDGE, TOP, BOTTOM, RIGHT, SCALE = 10, 24, 44, 22, 84  # margins of a picture and a panel; right of one with a colour scale
+ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above, and of the bar; width of a line in a legend
+BOLD = 1.12  # width of bold letters over that of others
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end
 DASHES: dict[str, Any] = {
@@ -100,6 +101,11 @@ class _Sheet:
         """Writes a line of text on the baseline y."""
         self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
+    def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
+        """Writes lines of text with their weights, the first on the baseline y."""
+        for k, (line, weight) in enumerate(lines):
+            self.write(x, y + LINE * k, line, weight=weight)
+
     def lines(self, lines: Sequence[Sequence[tuple[float, float]]], opacity: float) -> None:
         """Draws lines below everything else."""
         from matplotlib.collections import LineCollection
@@ -138,40 +144,32 @@ def _whole(figure: Figure) -> _Sheet:
     sizes = [panel_size(panel, WIDE if figure.columns == 1 else SIZE) for panel in figure.panels]
     wide, high = (max(ends) for ends in zip(*sizes, strict=True))
     width = max(wide * columns, WIDE[0])
-    words = [(wrapped(notation(text), width - 20, FONT), style) for text, style in ((figure.finding, "bold"), (figure.title, ""))]
-    lines = [(line, style or "normal") for some, style in words for line in some]
-    entries = legend(figure)
-    names = [one.label if " " in one.label else middle_cut(one.label) for one in entries]
-    across = max((text_width(name, FONT) + KEY + 24 for name in names), default=1.0)
-    keys = max(1, min(len(entries), int((width - 10) / across)))
-    titles = [wrapped(notation(panel.title), wide - 10, FONT) for panel in figure.panels]
-    heads = [max(map(len, titles[k : k + columns])) for k in range(0, len(titles), columns)]
-    top = 8 + LINE * len(lines)
+    words = _paragraphs(figure.finding, figure.title, room=width)
+    entries = [(one, one.label if " " in one.label else middle_cut(one.label)) for one in legend(figure)]
+    across = max((text_width(name, FONT) + KEY + 32 for _, name in entries), default=1.0)
+    keys = max(1, min(len(entries), int(width / across)))
+    titles = [_paragraphs(*notation(panel.title).split("\n"), room=wide - 10) for panel in figure.panels]
+    heads = [LINE * max(map(len, titles[k : k + columns])) for k in range(0, len(titles), columns)]
+    top = 10 + LINE * len(words)
     start = top + LINE * -(-len(entries) // keys) + 12
-    sheet = _Sheet(width, start + sum(heads) * LINE + (high + 8) * len(heads))
-    for k, (line, weight) in enumerate(lines):
-        sheet.write(10, 20 + LINE * k, line, weight=weight)
-    if entries:
-        sheet.canvas.legend(
-            [_key(one) for one in entries],
-            names,
-            loc="upper left",
-            bbox_to_anchor=(6 / width, 1 - top / sheet.height),
-            ncols=keys,
-            frameon=False,
-            borderpad=0.2,
-            labelspacing=LINE / FONT - 1.25,
-            handlelength=KEY / FONT,
-        )
+    sheet = _Sheet(width + 2 * EDGE, start + sum(heads) + (high + 8) * len(heads))
+    sheet.write_lines(EDGE, 20, words)
+    for k, (entry, name) in enumerate(entries):
+        left, down = EDGE + across * (k % keys), top + LINE * (k // keys) + 9
+        sheet.canvas.add_artist(_key(entry, (left + np.array([0, 0.5, 1]) * KEY) / sheet.width, 1 - down / sheet.height))
+        sheet.write(left + KEY + 8, down + 0.36 * FONT, name)
     for k, (panel, title) in enumerate(zip(figure.panels, titles, strict=True)):
         row, column = divmod(k, columns)
-        down = start + sum(heads[:row]) * LINE + (high + 8) * row
-        for i, line in enumerate(title):
-            sheet.write(
-                wide * column + 10, down + LINE * (i + heads[row] - len(title)) + 12, line, weight="normal" if i else "bold"
-            )
-        _draw(sheet, panel, wide * column, down + heads[row] * LINE, sizes[k])
+        left, down = EDGE + wide * column, start + sum(heads[: row + 1]) + (high + 8) * row
+        sheet.write_lines(left, down + 12 - LINE * len(title), title)
+        _draw(sheet, panel, left, down, sizes[k])
     return sheet
+
+
+def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
+    """Returns the lines of paragraphs with their weights: the first is bold."""
+    bold = [(line, "bold") for line in wrapped(notation(first), room / BOLD, FONT)]
+    return bold + [(line, "normal") for text in others for line in wrapped(notation(text), room, FONT)]
 
 
 def middle_cut(name: str) -> str:
@@ -179,16 +177,15 @@ def middle_cut(name: str) -> str:
     return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[len(name) - (LONGEST - 1) // 2 :]}"
 
 
-def _key(entry: Entry, x: Sequence[float] = (), y: Sequence[float] = ()) -> Any:
-    """Returns the line, the marker or the patch of a legend's entry."""
+def _key(entry: Entry, x: Array, height: float) -> Any:
+    """Returns the line through three points, the marker or the patch of a legend's entry."""
     from matplotlib.lines import Line2D
 
+    y = np.full(3, height)
     if entry.ground:
-        return Line2D(
-            x, y, color=entry.color, linestyle="", marker="s", markersize=11, markevery=[1] if x else None, gid="ground"
-        )
+        return Line2D(x, y, color=entry.color, linestyle="", marker="s", markersize=11, markevery=[1], gid="ground")
     look = _look(entry.color, entry.marker, entry.filled)
-    return Line2D(x, y, linestyle=DASHES[entry.dash], linewidth=entry.width, markevery=[1] if x else None, **look)
+    return Line2D(x, y, linestyle=DASHES[entry.dash], linewidth=entry.width, markevery=[1], **look)
 
 
 def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
@@ -208,7 +205,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         _draw_curve(axis, curve, cut_off=not isinstance(panel.ground, Shades))  # markers at corners of shades are whole
     axis.set(xlim=panel.xlim, ylim=panel.ylim)
     down, names = _ticks(axis.get_ylim(), panel.ylog)
-    inner = 12 + max((text_width(name, FONT) for name in names), default=0.0)
+    inner = 10 + max((text_width(name, FONT) for name in names), default=0.0)
     width, height = size[0] - inner - (SCALE if image is not None else RIGHT), size[1] - TOP - BOTTOM
     left, bottom = left + inner, top + TOP + height
     axis.set_position(sheet.box(left, top + TOP, width, height))
@@ -225,7 +222,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         lines.append([(x, bottom + 4 * (not grid)), (x, bottom - height * grid)])
         sheet.write(x, bottom + 18, name, ha="center")
     sheet.lines(lines, 0.15 if grid else 1)
-    sheet.write(left - inner + 4, top + 14, panel.ylabel)
+    sheet.write(left - inner, top + 14, panel.ylabel)
     sheet.write(left + width / 2, bottom + BOTTOM - 8, panel.xlabel, ha="center")
     if isinstance(panel.ground, Spans):
         _name_spans(sheet, axis, panel.ground, left, bottom - 8, width)
@@ -239,18 +236,18 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, axis: Any, panel: Panel, bars: Bars, left: float, top: float) -> None:
-    count, width = len(bars.names), BARS - 8
+    count, width = len(bars.names), BARS - 16
     lengths = np.concatenate([bars.values, *(curve.x for curve in panel.curves)])
     axis.barh(np.arange(count), np.nan_to_num(bars.values), BAR / ROW, color=bars.colors)
     for curve in panel.curves:
         _draw_curve(axis, curve, cut_off=False)
     axis.set(xlim=(0, 1.02 * np.max(lengths[np.isfinite(lengths)], initial=0.0) or 1.0), ylim=(count - 0.5, -0.5))
     axis.set_axis_off()
-    axis.set_position(sheet.box(left + 4, top + 4, width, ROW * count))
+    axis.set_position(sheet.box(left, top + 4, width, ROW * count))
     for k, (name, words) in enumerate(zip(bars.names, bars.words, strict=True)):  # text above each bar
-        sheet.write(left + 4, top + ROW * k + 14, cut(name, width - text_width(words, FONT) - 10, FONT))
-        sheet.write(left + 4 + width, top + ROW * k + 14, words, ha="right")
-    sheet.write(left + 4, top + ROW * count + 20, panel.xlabel)
+        sheet.write(left, top + ROW * k + 14, cut(name, width - text_width(words, FONT) - 10, FONT))
+        sheet.write(left + width, top + ROW * k + 14, words, ha="right")
+    sheet.write(left, top + ROW * count + 20, panel.xlabel)
 
 
 def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> Any:
@@ -381,7 +378,7 @@ def key_svg(entry: Entry, name: str) -> str:
 def _key_inside(entry: Entry) -> str:
     with _settings():
         sheet = _Sheet(KEY, 14)
-        sheet.canvas.add_artist(_key(entry, (0, 0.5, 1), (0.5, 0.5, 0.5)))
+        sheet.canvas.add_artist(_key(entry, np.array([0, 0.5, 1]), 0.5))
         return _inside(sheet)
 
 

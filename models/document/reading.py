@@ -7,6 +7,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from html import escape
 from itertools import count
 from string import ascii_lowercase
@@ -24,7 +25,6 @@ LONG_NAME = 16  # letters; a line may break within longer names
 OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
 # A name ends at spaces and punctuation other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
-NARROW, BROAD, FULL = 0.64, 1.0, 1.04  # widths of most letters, wide ones and East Asian ones, as a share of the font size
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,18 @@ def _leftward(name: str) -> bool:
 
 def text_width(text: str, size: float) -> float:
     """Returns an upper estimate of the width of a text, in the unit of the font size."""
-    full = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
-    broad = sum(letter in "mw%@&" or letter.isupper() for letter in text)
-    return size * (FULL * full + BROAD * broad + NARROW * (len(text) - full - broad))
+    return size * sum(map(_letter_width, text))
+
+
+@lru_cache(maxsize=1024)
+def _letter_width(letter: str) -> float:
+    if unicodedata.east_asian_width(letter) in "WF":
+        return 1.04
+    if letter in "mwMW%@&…":
+        return 1.0
+    if letter.isupper():
+        return 0.8
+    return 0.42 if letter in " .,:;'()[]/fijlrt" else 0.64
 
 
 def cut(text: str, room: float, size: float) -> str:
