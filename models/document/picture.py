@@ -79,8 +79,9 @@ def _matplotlib() -> Any:
 @contextmanager
 def _settings() -> Iterator[None]:
     matplotlib = _matplotlib()
-    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font lacks are drawn as boxes
+    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
+        # Letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
+        warnings.simplefilter("ignore", UserWarning)
         yield
 
 
@@ -99,7 +100,8 @@ class _Sheet:
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
         """Writes a line of text on the baseline y."""
-        self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
+        if text:
+            self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
     def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
         """Writes lines of text with their weights, the first on the baseline y."""
@@ -204,7 +206,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
     for curve in panel.curves:
         _draw_curve(axis, curve, cut_off=not isinstance(panel.ground, Shades))  # markers at corners of shades are whole
     axis.set(xlim=panel.xlim, ylim=panel.ylim)
-    down, names = _ticks(axis.get_ylim(), panel.ylog)
+    down, names = ticks(axis.get_ylim(), panel.ylog)
     inner = 10 + max((text_width(name, FONT) for name in names), default=0.0)
     width, height = size[0] - inner - (SCALE if image is not None else RIGHT), size[1] - TOP - BOTTOM
     left, bottom = left + inner, top + TOP + height
@@ -216,7 +218,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         y = bottom - height * share
         lines.append([(left - 4 * (not grid), y), (left + width * grid, y)])
         sheet.write(left - 7, y + 0.36 * FONT, name, ha="right")
-    across, names = _ticks(axis.get_xlim(), panel.xlog, panel.xticks, panel.xnames)
+    across, names = ticks(axis.get_xlim(), panel.xlog, panel.xticks, panel.xnames)
     for share, name in zip(_places(axis, across, 0), names, strict=True):
         x = left + width * share
         lines.append([(x, bottom + 4 * (not grid)), (x, bottom - height * grid)])
@@ -228,10 +230,10 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         _name_spans(sheet, axis, panel.ground, left, bottom - 8, width)
     elif isinstance(panel.ground, Shades) and image is not None:
         scale = sheet.canvas.add_axes(sheet.box(left + width + 14, top + TOP, 12, height))
-        colors = sheet.canvas.colorbar(image, cax=scale)
+        colors: Any = sheet.canvas.colorbar(image, cax=scale)
         colors.solids.set_gid("ground")
-        ticks, labels = _ticks(scale.get_ylim(), log=False)
-        colors.set_ticks(ticks, labels=labels)
+        levels, labels = ticks(scale.get_ylim(), log=False)
+        colors.set_ticks(levels, labels=labels)
         sheet.write(left - inner + size[0] - 4, top + 14, panel.ground.label, ha="right")
 
 
@@ -257,8 +259,8 @@ def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> A
 
         for i, color in enumerate(ground.colors):
             if np.any(ground.kind == i):
-                cells = _cells(ground.kind == i, ground.x, ground.y)
-                axis.add_patch(PathPatch(cells, facecolor=color, linewidth=0, antialiased=False, gid="ground", zorder=0))
+                outline = cells(ground.kind == i, ground.x, ground.y)
+                axis.add_patch(PathPatch(outline, facecolor=color, linewidth=0, antialiased=False, gid="ground", zorder=0))
         for text, row, column in ground.labels:
             axis.text(ground.x[column], ground.y[row], text, ha="center", va="center")
         axis.set(xlim=_edges(ground.x)[[0, -1]], ylim=_edges(ground.y)[[0, -1]])
@@ -279,7 +281,7 @@ def _edges(centres: Array) -> Array:
     return np.append(centres - half, centres[-1] + half)
 
 
-def _cells(there: Array, x: Array, y: Array) -> Any:
+def cells(there: Array, x: Array, y: Array) -> Any:
     """Returns the outline of cells: one rectangle for each run of cells in a row."""
     from matplotlib.path import Path as Outline
 
@@ -304,7 +306,7 @@ def _draw_curve(axis: Any, curve: Curve, cut_off: bool) -> None:
     )
 
 
-def _ticks(
+def ticks(
     limits: tuple[float, float], log: bool, given: Sequence[float] = (), names: Sequence[str] = ()
 ) -> tuple[Sequence[float], Sequence[str]]:
     """Returns the ticks of an axis and their labels."""
@@ -322,7 +324,7 @@ def _ticks(
     if not log and not names and not any("e" in text for text in texts):
         decimals = max((len(text.partition(".")[2]) for text in texts), default=0)
         texts = [f"{tick:.{decimals}f}" for tick in given]
-    return given, names or [re.sub(r"^1·", "", notation(text)).replace("-", "−") for text in texts]
+    return given, names or [re.sub(r"(?<![\d.])1·", "", notation(text)).replace("-", "−") for text in texts]
 
 
 def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[float]:

@@ -7,7 +7,6 @@ import io
 import json
 import math
 import re
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -193,7 +192,7 @@ def test_page(printed, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sim.studies.gallery.entries.names", lambda: LIGHT)
     _, found = printed
     path = tmp_path / "gallery.html"
-    assert report(["--gallery", "--out", str(path), "--json"]) == 0
+    assert report(["--gallery", "--out", str(path), "--json", "--figures", str(tmp_path / "f")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert {one["name"]: one["numbers"] for one in result["entries"]} == {name: one["numbers"] for name, one in found.items()}
     text = path.read_text(encoding="utf-8")
@@ -210,8 +209,7 @@ def test_page(printed, tmp_path, capsys, monkeypatch):
         reasons = {missing["why"] for missing in one["missing"]}
         reasons |= {number["reason"] for number in one["numbers"] if number["verdict"] == "differs"}
         assert all(re.sub(r"<[^>]*>", "", notation(reason)) in shown for reason in reasons)
-    links = re.findall(r'href="data:text/csv[^,"]*,([^"]*)"', text)
-    rows = [row for link in links for row in csv.reader(unquote(link).splitlines())]
+    rows = [row for table in tmp_path.glob("f/*.csv") for row in csv.reader(table.read_text(encoding="utf-8").splitlines())]
     for number in (each for one in found.values() for each in one["numbers"]):
         start = f"{number['exact']:.9g}"[:8]
         assert [

@@ -31,7 +31,7 @@ from tests.commands.test_report import QUICK
 from tests.support import shared
 from tests.support.commands import attacks
 from tests.support.pages import site
-from tests.support.reading import PageRead, number
+from tests.support.reading import PageRead, number, read_report
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
@@ -50,9 +50,7 @@ def printed(capsys, command, *arguments) -> dict:
 
 def page(folder: Path, *arguments: str, step: tuple[str, str] = STEP) -> PageRead:
     """The page of a report, read."""
-    path = folder / "report.html"
-    assert report(["--quick", *step, "--out", str(path), *arguments]) == 0
-    return PageRead(path)
+    return read_report(folder / "report.html", "--quick", *step, *arguments)
 
 
 def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
@@ -65,7 +63,8 @@ def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
 @pytest.fixture(scope="module")
 def plain() -> PageRead:
     """A report of the paper's vehicle as it ships."""
-    return PageRead(shared.printed("sim.report", *QUICK).folder / "report.html")
+    done = shared.printed("sim.report", *QUICK)
+    return PageRead(done.folder / "report.html", done.json)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +77,8 @@ def real_file(tmp_path_factory) -> str:
 def real() -> PageRead:
     """A report of that vehicle."""
     files = {"quarter_car.toml": read_vehicle("quarter_car").text + "\n" + REALITY}
-    return PageRead(shared.printed("sim.report", *QUICK, "--vehicle", "quarter_car.toml", files=files).folder / "report.html")
+    done = shared.printed("sim.report", *QUICK, "--vehicle", "quarter_car.toml", files=files)
+    return PageRead(done.folder / "report.html", done.json)
 
 
 def held(row: dict[str, str], said: dict[str, str]) -> None:
@@ -320,8 +320,7 @@ def test_nothing_stable(tmp_path):
 def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     """The whole report of the README's example finishes, and its margins and its map are what the commands say."""
     path = tmp_path / "report.html"
-    assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), *COARSE]) == 0
-    read = PageRead(path)
+    read = read_report(path, "--vehicle", real_file, "--controller", "II", *COARSE)
     assert read.state == "ends", read.answer
     assert len(path.read_bytes()) < 500_000
     ride = read.row("ride", controller="II", metric="sprung acceleration weighted", **{"class": "C"})
@@ -409,7 +408,7 @@ def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
             assert (row["MuJoCo"], row["expected"]) == tuple(
                 "-" if value is None else f"{value:.4g}" for value in (one["mujoco"], one["expected"])
             )
-    read = PageRead(tmp_path / "report.html")
+    read = PageRead(tmp_path / "report.html", whole)
     assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} s on" in read.lead[-1]
     assert not any("paper's bump" in said for said in (*read.lead, *read.answer))
 

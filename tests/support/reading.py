@@ -1,20 +1,27 @@
-"""The content of a report's page, read back from its HTML as a reader has it."""
+"""The content of a report: its page, read back from the HTML, and its tables."""
 
-import csv
+import contextlib
 import html
 import io
+import json
 import re
 from pathlib import Path
-from urllib.parse import unquote
+from typing import Any
 
-KIND = "data:text/csv;charset=utf-8"
+from sim.report.__main__ import main
+
 PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 class PageRead:
-    """A page: its text, the sentences and state of its answer, its captions, and its tables as rows, from their files."""
+    """A page: its text, the sentences and state of its answer, its captions, and its tables as rows.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: the page.
+        result: what its command prints with `--json`.
+    """
+
+    def __init__(self, path: Path, result: dict[str, Any]) -> None:
         own = re.sub(r"<(script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
         (self.state,) = re.findall(r'<p class="verdict (\w+)">', own)
         (box,) = re.findall(r'<div class="answer">(.*?)</div>', own, re.S)
@@ -24,12 +31,7 @@ class PageRead:
         self.answer = [_text(sentence) for sentence in re.findall(r"<p>(.*?)</p>", box, re.S)]
         self.captions = [_text(caption) for caption in re.findall(r"<figcaption>(.*?)</figcaption>", own, re.S)]
         self.text = _text(own)
-        self.tables = {
-            html.unescape(name): [*csv.DictReader(io.StringIO(unquote(html.unescape(text)), newline=""))]
-            for name, text in re.findall(
-                r'<a download="([^"]+)\.csv" href="data:text/csv;charset=utf-8,([^"]*)" aria-label="Table', own
-            )
-        }
+        self.tables: dict[str, list[dict[str, str]]] = result["tables"]
 
     def row(self, table: str, **cells: str) -> dict[str, str]:
         """The only row of a table that has these cells."""
@@ -37,9 +39,17 @@ class PageRead:
         return found
 
 
+def read_report(path: Path, *arguments: str) -> PageRead:
+    """Returns the page of a report that finishes."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["--out", str(path), "--json", *arguments]) == 0
+    return PageRead(path, json.loads(printed.getvalue()))
+
+
 def number(text: str) -> float:
-    """Returns a number as a page writes it: 1.4·10⁻³, or −3."""
-    return float(re.sub("·10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda power: f"e{power[1].translate(PLAIN)}", text).replace("−", "-"))
+    """Returns a number as a page writes it: 1.4·10⁻³, 10⁻³, or −3."""
+    plain = re.sub(r"(?<![\d·])10(?=[⁻⁰¹²³⁴⁵⁶⁷⁸⁹])", "1·10", text)
+    return float(re.sub("·10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda power: f"e{power[1].translate(PLAIN)}", plain).replace("−", "-"))
 
 
 def _list(page: str, kind: str) -> str:

@@ -10,12 +10,11 @@ from sim import bump, envelope
 from sim.campaign import __main__ as campaign
 from sim.command.comparison import say_false_claims
 from sim.inspect.__main__ import main as inspect
-from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
 from synth.analysis.specification import Specification
 from tests.support.commands import prose
 from tests.support.drives import MAP
-from tests.support.reading import PageRead
+from tests.support.reading import read_report
 
 SECTION = """
 [controllers.b]
@@ -80,9 +79,8 @@ def test_a_report_has_them(vehicles, tmp_path, capsys):
     synth([*asked, "--json"])
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     out = tmp_path / "broken.html"
-    assert report([*asked, "--quick", "--timestep", "0.0025", "--out", str(out)]) == 0
+    page = read_report(out, *asked, "--quick", "--timestep", "0.0025")
     assert capsys.readouterr().err.count(SAID) == 1
-    page = PageRead(out)
     for cells, promise in zip(page.tables["goals"], row["promises"], strict=True):
         assert cells["controller"] == "b"
         assert cells["goal"] == f"{promise['promise']} ({promise['where']})" if promise["where"] else promise["promise"]
