@@ -59,7 +59,7 @@ def parser() -> Parser:
     parser.add_argument("--every-cell", action="store_true", help="simulate every cell; takes ten times as long")
     parser.add_logs("the runs closest to each limit")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the numbers of every cell (.csv)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png or .svg); needs matplotlib")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png, .svg or .pdf); needs matplotlib")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

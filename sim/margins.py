@@ -59,7 +59,7 @@ def parser() -> Parser:
         help="vary up to four parameters from LOW to HIGH times their value (default: the parameters of the vehicle type)",
     )
     parser.add_logs("MuJoCo runs on both sides of the delay margin")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png or .svg); needs matplotlib")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png, .svg or .pdf); needs matplotlib")
     parser.add_printed("each loop, norms with errors, effects of rounding, and each varied vehicle")
     return parser
 

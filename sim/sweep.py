@@ -45,7 +45,7 @@ def parser() -> Parser:
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     add_exported(parser)
     parser.add_logs("each controller over its worst sinusoid")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png or .svg); needs matplotlib")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib")
     parser.add_printed("every signal, invariant and road of each controller, as for a single controller")
     return parser
 

@@ -290,13 +290,3 @@ def thinned(y: Array, every: int) -> Array:
     missing = np.isnan(blocks)
     largest, least = np.where(missing, -np.inf, blocks).argmax(axis=1), np.where(missing, np.inf, blocks).argmin(axis=1)
     return np.unique(np.concatenate([[0, len(y) - 1], starts + largest, starts + least]))
-
-
-def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the contour z = `height`, z of shape (M, N), over the grid y, x, as x and y of a curve, NaN between its pieces."""
-    from contourpy import contour_generator
-
-    pieces = contour_generator(x, y, np.ma.masked_invalid(z)).lines(height)
-    gap = np.full((1, 2), np.nan)
-    joined = np.concatenate([gap, *(part for piece in pieces for part in (np.asarray(piece), gap))])
-    return joined[:, 0], joined[:, 1]

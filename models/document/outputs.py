@@ -7,7 +7,7 @@ from models.common.errors import InputError
 from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
-SUFFIXES = (".png", ".svg")  # of pictures
+SUFFIXES = (".png", ".svg", ".pdf")  # of pictures
 OPTIONS = {"report": "out"}  # options whose name differs from the output's
 FOLDERS = ("logs", "figures")
 ENDINGS = {  # allowed suffixes, and the reason

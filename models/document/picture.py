@@ -95,7 +95,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as matplotlib has it."""
+        """Returns a rectangle as shares of the figure, from its lower left corner."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -133,6 +133,15 @@ def write_picture(figure: Figure, *paths: Path) -> None:
             }
             with whole_file(path, "picture") as beside:
                 canvas.savefig(beside, dpi=DPI, metadata=metadata.get(path.suffix.lower(), {}))
+
+
+def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
+    """Returns the contour z = `height`, z of shape (M, N), over the grid y, x, as x and y of a curve, NaN between its pieces."""
+    with _settings():
+        pieces = _Sheet(1, 1).canvas.add_subplot().contour(x, y, np.ma.masked_invalid(z), [height]).allsegs[0]
+    gap = np.full((1, 2), np.nan)
+    joined = np.concatenate([gap, *(part for piece in pieces for part in (piece, gap))])
+    return joined[:, 0], joined[:, 1]
 
 
 def panel_size(panel: Panel, size: tuple[int, int] = SIZE) -> tuple[int, int]:

@@ -235,7 +235,7 @@ def cut(text: str, room: float, size: float) -> str:
 
 
 def wrapped(text: str, room: float, size: float) -> list[str]:
-    """Returns a text as lines that are no wider than `room`, broken at spaces; a longer word is cut."""
+    """Breaks a text at spaces into lines of at most the width `room`, and cuts longer words."""
     lines = list[str]()
     for part in text.splitlines():
         lines.append("")

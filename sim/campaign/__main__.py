@@ -63,7 +63,7 @@ def _parser() -> Parser:
         "--results", type=Path, metavar="DIR", help="folder of the results (default: campaign-results for campaign.toml)"
     )
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw ride over road holding, a point for each controller (.png or .svg)"
+        "--picture", type=Path, metavar="FILE", help="draw ride over road holding, a point per controller (.png, .svg or .pdf)"
     )
     parser.add_argument(
         "--best",

@@ -52,7 +52,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw MuJoCo and linear analysis over time, with a panel for each weighted signal (.png or .svg)",
+        help="draw MuJoCo and linear analysis over time, with a panel for each weighted signal (.png, .svg or .pdf)",
     )
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="write all signals over time, of MuJoCo and linear analysis (.csv)"

@@ -145,8 +145,8 @@ def _parser() -> Parser:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw the responses over frequency with the bands of goals shaded, or the result of --rates or --front (.png or "
-        ".svg); needs matplotlib",
+        help="draw the responses over frequency with the bands of goals shaded, or the result of --rates or --front (.png, "
+        ".svg or .pdf); needs matplotlib",
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write all designs of --front (.csv)")
     parser.add_count("--point", "designs of --front that --save writes, by number", "all", 1, MOST_POINTS, many=True)

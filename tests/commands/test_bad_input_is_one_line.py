@@ -33,7 +33,7 @@ SUITE = [  # command line; what is edited in which file, if anything; a word of 
 ATTACKS = [
     ("sim.bump", "", "no controller"), ("sim.bump --controller I --height nan", "", "finite"),
     ("sim.bump --controller I --colour red", "", "--colour"), ("sim.bump --controller I --no-logs --logs x", "", "--no-logs"),
-    ("sim.bump --controller I --timestep 1", "", "timestep"), ("sim.bump --controller I --picture out.pdf", "", "out.pdf"),
+    ("sim.bump --controller I --timestep 1", "", "timestep"), ("sim.bump --controller I --picture out.gif", "", "out.gif"),
     ("sim.bump --controller I --vehicle mini", "", "mini"),
     ("sim.bump --vehicle hopper.toml --controller passive", "hopper.xml: <mujoco -> <robot", "hopper.xml"),
     ("sim.bump --vehicle hopper.toml --controller passive", "hopper.py: KIND -> KINDS", "KIND"),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, level, styles
+from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
@@ -146,7 +146,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
     from models.document.document import Document, notes
     from models.document.page import Page, render
-    from models.document.picture import write_picture
+    from models.document.picture import level, write_picture
 
     x, y = np.linspace(0, 1, 5), np.linspace(0, 2, 4)
     z = x + y[:, None]

@@ -121,7 +121,6 @@ OWNERS = {
     "control": {"sim/response/response.py", "synth/vehicle/state_space.py"},
     "pandas": {"sim/response/response.py"},
     "matplotlib": {"models/document/picture.py"},
-    "contourpy": {"models/document/figure.py", "models/document/page.py"},
     "jinja2": {"models/document/page.py"},
     "python_calamine": {"models/common/table.py"},
     "pyopencrg": {"models/roads/opencrg.py"},

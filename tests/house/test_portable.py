@@ -46,7 +46,7 @@ print(json.dumps(found))
 """
 EXTRAS = [  # a package, its extra, and a command that needs it
     ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
-    ("contourpy", "report", ["sim.report"]),
+    ("matplotlib", "report", ["sim.report"]),
     ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
     ("python_calamine", "excel", ["sim.drive", "--controller", "passive", "--road", "road.xlsx"]),
     ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),

@@ -74,7 +74,7 @@ def test_of_a_design_too(designer, capsys):
 def test_a_report_has_them(vehicles, tmp_path, capsys):
     """Its table of goals has the numbers that `synth` has of each, and its answer names the one that is missed first."""
     pytest.importorskip("jinja2", reason="a report needs the extra [report]")
-    pytest.importorskip("contourpy", reason="a report needs the extra [report]")
+    pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
     asked = ["--vehicle", str(vehicles["broken"]), "--controller", "b"]
     synth([*asked, "--json"])
     (row,) = json.loads(capsys.readouterr().out)["controllers"]

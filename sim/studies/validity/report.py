@@ -11,7 +11,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
-from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel, level
+from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel
+from models.document.picture import level
 from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
@@ -161,10 +162,9 @@ def envelope_figure(
         return values.reshape(shape).T if turned else values.reshape(shape)
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
-    colors = (NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
     nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(cells.predicted + 1), colors, (nothing, *first))
+    ground = Classes(x, y, plane(cells.predicted + 1), (NOTHING, *(end.color for end in REGIME_ENDS)), (nothing, *first))
 
     curves, used = [], plane(cells.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
