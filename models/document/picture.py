@@ -325,7 +325,7 @@ def ticks(
     decades = np.log10(high) - np.log10(low) if log else 0.0
     if not given:
         subs = (1, 2, 5) if decades < 1.6 else (1, 3) if decades < 3.2 else (1,)
-        locator = LogLocator(subs=subs, numticks=7) if decades > 0.7 else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
+        locator = LogLocator(subs=subs, numticks=7) if decades > 0.7 else MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
         with np.errstate(all="ignore"):
             room = 1e-9 * (high - low)
             given = [float(tick) + 0.0 for tick in locator.tick_values(low, high) if low - room <= tick <= high + room]
@@ -348,7 +348,7 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
     low, high = axis.get_xlim()
     for ends, name in zip(spans.ends, spans.names, strict=True):
         first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)
-        sheet.write(left + width * (first + last) / 2, y, cut(name, max(width * (last - first), 60), FONT), ha="center")
+        sheet.write(left + width * (first + last) / 2, y, cut(name, width, FONT), ha="center")
 
 
 # SVG inside a page: text stays text; presentation attributes instead of styles, which a page's policy refuses; no identifiers but
