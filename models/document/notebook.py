@@ -6,8 +6,9 @@ from html import escape
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.document.figure import Curve, Dash, Figure, Panel, legend
-from models.document.picture import key_svg, panel_svg
+from models.document.picture import check_drawing, key_svg, panel_svg
 
 POINTS = 400  # of a curve over frequency
 BLUE, RED, GREY, DARK = "#1f77b4", "#d62728", "#888888", "#404040"
@@ -19,7 +20,11 @@ STYLE = """<style>
 
 
 def notebook_figure(panel: Panel) -> str:
-    """Returns a panel as an HTML figure, with title and legend as its caption."""
+    """Returns a panel as an HTML figure, with title and legend as its caption; without matplotlib, a line on its installation."""
+    try:
+        check_drawing()
+    except InputError:
+        return "<p>Figures need matplotlib: pip install 'roadproof[report]'.</p>"
     name = hashlib.sha256(repr((panel.title, [curve.y.tobytes() for curve in panel.curves])).encode()).hexdigest()[:16]
     entries = enumerate(legend(Figure(name, "", (panel,))))
     keys = [f"{key_svg(entry, f'{name}-{k}')} {escape(entry.label)}" for k, entry in entries]  # one page has many figures

@@ -23,7 +23,6 @@ from models.document.sketch import Sketch, sketch_svg, symbol_html
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
-MANY = 4  # panels that are shown in two columns, unless they are pairs
 BRIEF = 2  # statements before the first figure or table that are shown; others that claim nothing are folded
 
 
@@ -218,7 +217,7 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid, of two columns if in pairs."""
+    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid of two columns or more."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else "pairs" if figure.columns == 2 and len(figure.panels) > MANY else ""
+    return "wide" if figure.columns == 1 else "many" if figure.columns > 2 else ""
