@@ -271,12 +271,10 @@ def test_cells_are_where_the_axes_say():
     x, y = np.arange(5.0), 2 * np.arange(3.0)
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     for i in range(3):
-        inside = sum(part.contains_points(centres).astype(int) for part in _rectangles(cells(kind == i, x, y)))
+        outline = cells(kind == i, x, y)
+        parts = [type(outline)(outline.vertices[k : k + 5]) for k in range(0, len(outline.vertices), 5)]
+        inside = np.sum([part.contains_points(centres) for part in parts], axis=0)
         assert inside.tolist() == (kind == i).ravel().astype(int).tolist()
-
-
-def _rectangles(outline):
-    return [type(outline)(outline.vertices[k : k + 5]) for k in range(0, len(outline.vertices), 5)]
 
 
 def test_every_panel_is_sound_xml():
