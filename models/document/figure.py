@@ -147,7 +147,7 @@ class Shades:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Horizontal bars from zero, the first on top. Bar k is at y = k, where points of a curve may mark it.
+    """Horizontal bars from zero, the first on top.
 
     Attributes:
         names: names of the bars.

@@ -206,10 +206,10 @@ def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
 
 def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int, int]) -> None:
     """Draws a panel with its upper left corner at a place."""
-    axis = sheet.canvas.add_axes((0, 0, 1, 1), facecolor="none")
     if isinstance(panel.ground, Bars):
-        _draw_bars(sheet, axis, panel, panel.ground, left, top)
+        _draw_bars(sheet, panel.ground, panel.xlabel, left, top)
         return
+    axis = sheet.canvas.add_axes((0, 0, 1, 1), facecolor="none")
     axis.set(xscale="log" if panel.xlog else "linear", yscale="log" if panel.ylog else "linear")
     image = _draw_ground(axis, panel.ground)
     for curve in panel.curves:
@@ -246,19 +246,21 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         sheet.write(left - inner + size[0] - 4, top + 14, panel.ground.label, ha="right")
 
 
-def _draw_bars(sheet: _Sheet, axis: Any, panel: Panel, bars: Bars, left: float, top: float) -> None:
-    count, width = len(bars.names), BARS - 16
-    lengths = np.concatenate([bars.values, *(curve.x for curve in panel.curves)])
-    axis.barh(np.arange(count), np.nan_to_num(bars.values), BAR / ROW, color=bars.colors)
-    for curve in panel.curves:
-        _draw_curve(axis, curve, cut_off=False)
-    axis.set(xlim=(0, 1.02 * np.max(lengths[np.isfinite(lengths)], initial=0.0) or 1.0), ylim=(count - 0.5, -0.5))
-    axis.set_axis_off()
-    axis.set_position(sheet.box(left, top + 4, width, ROW * count))
-    for k, (name, words) in enumerate(zip(bars.names, bars.words, strict=True)):  # text above each bar
-        sheet.write(left, top + ROW * k + 14, cut(name, width - text_width(words, FONT) - 10, FONT))
-        sheet.write(left + width, top + ROW * k + 14, words, ha="right")
-    sheet.write(left, top + ROW * count + 20, panel.xlabel)
+def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
+    """Draws bars, each below its name and its text."""
+    from matplotlib.patches import Rectangle
+
+    width = BARS - 16
+    longest = np.max(bars.values[np.isfinite(bars.values)], initial=0.0) or 1.0
+    rows = zip(bars.names, bars.values.tolist(), bars.words, bars.colors, strict=True)
+    for k, (name, value, words, color) in enumerate(rows):
+        down = top + ROW * k
+        sheet.write(left, down + 14, cut(name, width - text_width(words, FONT) - 10, FONT))
+        sheet.write(left + width, down + 14, words, ha="right")
+        if np.isfinite(value):
+            x, y, wide, high = sheet.box(left, down + 19, width * value / longest, BAR)
+            sheet.canvas.add_artist(Rectangle((x, y), wide, high, color=color, linewidth=0))
+    sheet.write(left, top + ROW * len(bars.names) + 20, label)
 
 
 def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> Any:

@@ -154,7 +154,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     np.testing.assert_allclose(line.x[1:-1] + line.y[1:-1], 1.5)  # z is linear, so its contour is exact
     cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8"), ("", "high")))
     shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
-    bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([1.0, np.nan]), ("1", "none"), ("#000000", "#d62728")))
+    bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([np.nan, 1.0]), ("none", "1"), ("#000000", "#d62728")))
     figure = Figure("grounds", "three", (cells, shades, bars))
     text = render(Page("t", notes("a < b"), Document(""), (Document("s", (figure,)),)))
     assert "a &lt; b" in text
