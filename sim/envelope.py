@@ -72,15 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     from models.document.outputs import check_outputs, written, written_lines
+    from models.document.text import text_lines
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
     from sim.runs.run import sample_times
-    from sim.studies.validity.edges import edge_lines, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
     from sim.studies.validity.map_runs import loaded
     from sim.studies.validity.regime_map import validity
-    from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
+    from sim.studies.validity.report import describe, envelope_object, write_csv
     from synth.vehicle.designer import Designer
 
     given = read_vehicle(options.vehicle)
@@ -101,19 +101,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
     warn(vehicle, [controller])
-    cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads, options.every_cell)
+    progress = stage.counted("map", len(bumps), "cells")
+    cells = validity(vehicle, controller, bumps, time, progress, loads, options.every_cell, options.threshold)
     stage("picture and logs")
-    fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
-    edges = edges_object(cells, axes, proportional=not (loads or vehicle.is_curved))
     if options.csv is not None:
-        write_csv(options.csv, cells, options.threshold)
+        write_csv(options.csv, cells)
     if options.picture is not None:
         from models.document.picture import write_picture
         from sim.studies.validity.report import envelope_figure
 
-        write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
-    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges}
-    result |= loads_object(options.loads) | written(outputs)
+        write_picture(envelope_figure(cells), options.picture)
+    result = envelope_object(cells) | ({"loads": list(options.loads)} if options.loads else {}) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
     logs = recorded(options, given, [controller.name], nearest, result)
     stage.end()
@@ -122,11 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
         about = f"{vehicle.kind.name} with controller {controller.name}, over {len(bumps)} bumps{under}"
-        lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
-        if not controller.certificate.stable:
-            lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
-        ends = [*edge_lines(edges, fixed), *travel_line(vehicle, cells)]
-        say([*lines, *written_lines(outputs), *log_lines([logs]), "", *ends, "", *envelope_lines(cells, options.threshold)])
+        lines = [*titled(about, vehicle.source), *written_lines(outputs), *log_lines([logs]), ""]
+        say([*lines, *text_lines(describe(cells))])
     return 0 if cells.as_predicted else 1
 
 

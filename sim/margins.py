@@ -72,18 +72,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     from models.document.outputs import check_outputs, written, written_lines
+    from models.document.text import text_lines
     from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, warn
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
-    from sim.studies.stability.fragility import find_fragility
-    from sim.studies.stability.margin_search import LONGEST, find_implemented_margins, find_margins
-    from sim.studies.stability.report import margins_lines, margins_object, verdict
-    from sim.studies.stability.robustness import read_variations, robustness
+    from sim.studies.stability.margin_search import LONGEST
+    from sim.studies.stability.report import describe, margins_object
+    from sim.studies.stability.robustness import read_variations
+    from sim.studies.stability.study import stability_margins
     from synth.vehicle.designer import Designer
 
-    # What is asked is how much the loop bears beyond an ideal implementation.
     given = read_vehicle(options.vehicle)
     name = one_chosen(given.controller_names, options.controller)
     as_built = given.driven_by(name)
@@ -98,26 +98,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with_computer = replace(vehicle, implementation=as_built.implementation)
     _check_loop(vehicle, with_computer, controller, options.timestep)
     warn(vehicle, [controller])
-    stage("margins")
-    margins = find_margins(vehicle, controller, options.timestep, stage)
-    built = {}
-    if not as_built.implementation.undelayed:
-        built = find_implemented_margins(with_computer, controller, options.timestep, stage)
-    stage("fragility")
-    fragile = find_fragility(vehicle, controller, options.timestep, stage)
-    stage("other vehicles")
-    (box,) = robustness(vehicle, [controller], options.timestep, stage, variations)
+    (found,) = stability_margins(as_built, [controller], options.timestep, stage, variations)
     stage("picture and logs")
     if options.picture is not None:
         from models.document.picture import write_picture
         from sim.studies.stability.figure import margins_figure
 
-        write_picture(margins_figure(vehicle, controller, margins[""], built.get(""), fragile, box), options.picture)
-    result = {}
-    if options.json or options.logs is not None:
-        result = margins_object(vehicle, controller, margins, built, fragile, box) | {"loop": _which_loop(as_built) or None}
+        write_picture(margins_figure(found), options.picture)
+    result = margins_object(found) if options.json or options.logs is not None else {}
     undelayed = replace(as_built, implementation=Implementation())
-    delayed = functools.partial(_delayed_runs, undelayed, controller, margins[""], options.timestep)
+    delayed = functools.partial(_delayed_runs, undelayed, controller, found.loops[""], options.timestep)
     of_file = replace(given, implementation=Implementation())
     logs = recorded(options, of_file, [controller.name], delayed, result)
     stage.end()
@@ -125,11 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
-        lines += filter(None, [_which_loop(as_built)])
-        lines += margins_lines(vehicle, controller, margins, built, fragile, box, options.verbose)
-        say([*lines, *written_lines(outputs), *log_lines([logs]), "", verdict(margins, built, fragile, box)])
-    agrees = fragile.agrees and all(one.agrees for one in (*margins.values(), *built.values()))
-    return 0 if agrees and (box is None or box.holds) else 1
+        lines += [*written_lines(outputs), *log_lines([logs]), ""]
+        say([*lines, *text_lines(describe(found), "full" if options.verbose else "normal")])
+    return 0 if found.agrees else 1
 
 
 def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", timestep: float) -> None:
@@ -182,22 +170,3 @@ def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargi
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
         (runs[f"{controller.name}_{samples}_samples_late"],) = run_controllers(delayed, [controller], BUMP, time)
     return runs
-
-
-def _which_loop(vehicle: "Vehicle") -> str:
-    """Describes the loop of these margins, and that of other vehicles' norms, if the vehicle file has more than parameters."""
-    from models.suspension.fitted_curves import lines_at_rest
-    from sim.linear.nonlinear_elements import bent_at_rest
-
-    slopes = lines_at_rest(vehicle.fitted)
-    lines = f"of the lines of [curves] at rest, and there alone: {slopes}" if slopes else ""
-    if bent_at_rest(vehicle):
-        lines += "; MuJoCo has these lines, as a curve that bends at rest has no derivative there"
-    if vehicle.ideal and not vehicle.dampers:
-        return lines
-    how = vehicle.implementation
-    loop = f"the loop has {'no actuator lag' if vehicle.limits.actuator_bandwidth is None else 'the lag of its actuators'}"
-    totals = "" if how.undelayed else "delay and sample period below are totals, which include the file's own"
-    blur = f"{how.noise_text} is left out" if how.has_measurement_noise else ""
-    follow = "margins hold only while the adjustable dampers of [actuators] give the commanded force" if vehicle.dampers else ""
-    return "; ".join(filter(None, (loop, totals, blur, follow, "norms of other vehicles are of the ideal loop", lines)))

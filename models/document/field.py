@@ -1,5 +1,6 @@
 """A quantity of a result: what it is called, its unit and digits, and its key in JSON. All outputs read it here."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
@@ -72,3 +73,11 @@ def json_object(fields: Iterable[Field[T]], one: T) -> dict[str, Any]:
     """Returns a result for JSON, with None for infinite or absent numbers."""
     values = ((field.key, field.value(one)) for field in fields if field.key)
     return {key: finite(value) if isinstance(value, float) else value for key, value in values}
+
+
+def at_most(value: float) -> str:
+    """Returns a number with two digits, rounded up, for a sentence that says that something is within it."""
+    if value <= 0:
+        return "0"
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from models.common.printed import GAP, WIDTH, table, wrapped
+from models.common.printed import GAP, WIDTH, as_name, table, wrapped
 from models.document.document import NOTE, Detail, Document, Statement, Table, is_shown
 from models.document.field import Field, T, cells, titles
 
@@ -12,6 +12,16 @@ HANG = 6  # spaces before a remark below its row
 def field_table(fields: Sequence[Field[T]], ones: Iterable[T]) -> list[str]:
     """Returns the lines of a table for the terminal, a row per result."""
     return table([titles(fields), *cells(fields, ones)])
+
+
+def names_text(names: Iterable[str]) -> str:
+    """Returns names of controllers in a sentence: `a`, `b` and `c`."""
+    return joined([as_name(name) for name in names])
+
+
+def joined(words: list[str]) -> str:
+    """Returns words in a sentence: a, b and c."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def text_lines(document: Document, detail: Detail = "normal") -> list[str]:

@@ -18,7 +18,7 @@ from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section, road_section
 from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, frequency_section, paper_section
-from sim.report.limits import map_of, margins_section, regime_section, validity_section
+from sim.report.limits import map_of, margins_section
 from sim.report.loads import loads_section, workshop_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
@@ -30,6 +30,7 @@ from sim.studies.frequency.sweep import OWN, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
 from sim.studies.validity.regime_end import regime_ends
+from sim.studies.validity.report import compare_maps, describe_ends
 from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.paper import SEED, is_the_papers
 
@@ -100,10 +101,11 @@ def report(
     driven = road_section(scope, runs, measured, when) if measured else bump_section(scope, runs, bump)
     sections += [driven, agreement_section(scope, runs, finer)]
     if ends:
-        sections.append(regime_section(scope, bump, ends, runs))
+        wrong = report_answer.unclaimed(ends, runs)
+        sections.append(describe_ends(vehicle, ends, wrong, bump, scope.where, BUMP_DURATION, h))
     if (MARGINS, "") in parts:
         maps = [parts[MAP, one.name] for one in scope.active]
-        sections += [parts[MARGINS, ""], validity_section(scope, maps)]
+        sections += [parts[MARGINS, ""], compare_maps(maps, scope.map_timestep, scope.noise_qualifier)]
     if rides:
         sections.append(ride_section(vehicle, rides, scope.styles))
     if frequencies.workshop is not None:
@@ -144,7 +146,7 @@ def pieces_of(scope: Scope) -> dict[Name, Piece]:
 
         pieces[FRONT, ""] = front_section
     if not scope.quick and scope.active:
-        pieces[MARGINS, ""] = _margins
+        pieces[MARGINS, ""] = margins_section
         pieces |= {(MAP, one.name): partial(map_of, number=i) for i, one in enumerate(scope.active)}
     if not scope.quick and (scope.stable or scope.laws):
         pieces[RIDE, ""] = _rides
@@ -189,11 +191,6 @@ def _frequencies(scope: Scope) -> Frequencies:
         frequency_section(scope, lines, sweeps, speed, own) if lines or own else None,
         workshop_section(scope, sweeps) if sweeps else None,
     )
-
-
-def _margins(scope: Scope) -> Document:
-    """Returns the section on margins, for the vehicle at rest."""
-    return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 
 
 def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from models.common.printed import as_name, percent
 from models.document.document import Statement
-from models.roads.road import Bump
 from sim.linear.dampers import is_linear
 from sim.report.scope import Scope, at_most, joined, names_text, percents
 from sim.response.regime import REGIME_ENDS
@@ -14,7 +13,7 @@ from sim.runs.report import NO_STATE
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
-from sim.studies.validity.regime_end import WITHIN, RegimeEnd
+from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller
 
 HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride
@@ -185,52 +184,3 @@ def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequenc
     """Returns the controllers without a claimed height, because their runs do not agree over the road."""
     wrong = {run.controller.name for run in runs if not run.agreement.agrees}
     return [one.name for one, _ in ends if one.name in wrong]
-
-
-def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
-    """Describes the controllers without a claimed height; empty if there are none of them."""
-    names = unclaimed(ends, runs)
-    if not names:
-        return ""
-    return (
-        f"For {names_text(names)} no height is claimed below which the analysis is true: over {scope.where} MuJoCo "
-        "does not agree."
-    )
-
-
-def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Statement]:
-    """Returns statements on the bump height at which the linear regime ends, between two MuJoCo runs, if above the paper's."""
-    if not ends:
-        return []
-    wrong, none = unclaimed(ends, runs), unclaimed_words(scope, ends, runs)
-    ends = [(one, end) for one, end in ends if one.name not in wrong]
-    heights: list[str] = []
-    statements = [Statement(none, "fails")] if none else []
-    for one, end in ends:
-        if end is None:
-            heights.append(f"{as_name(one.name)} at no height")
-        elif not end.confirmed:
-            text = (
-                f"MuJoCo DOES NOT end the linear regime of {as_name(one.name)} as predicted, by {end.predicted_end} "
-                f"at {end.predicted:.4g} m: see the table."
-            )
-            statements.append(Statement(text, "fails"))
-        else:
-            height = end.found
-            predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
-            heights.append(f"{as_name(one.name)} {height:.3g} m ({end.end}{predicted})")
-    comma = "," if scope.blurred else ""
-    errors = [end.error for _, end in ends if end is not None and end.confirmed]
-    which = "the analysis with its semi-active dampers" if scope.vehicle.dampers else "the linear regime"
-    text = (
-        f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
-        f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} "
-        f"ends at a height of: {'; '.join(heights)}."
-    )
-    if errors:
-        text += (
-            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (WITHIN - 1):.2g} % or less on either side of each: "
-            "below, "
-            f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
-        )
-    return [Statement(text, "holds"), *statements] if heights else statements

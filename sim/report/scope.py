@@ -1,14 +1,17 @@
 """Data shared by the sections of a report: its subject, its loops, common results, and the format of numbers."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from models.common.printed import as_name
 from models.document.field import Field
+from models.document.field import at_most as at_most
 from models.document.figure import Style, styles
+from models.document.text import joined as joined
+from models.document.text import names_text as names_text
 from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
@@ -242,14 +245,6 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
 NAME = Field[AnyController]("controller", lambda one: one.name)
 
 
-def at_most(value: float) -> str:
-    """A number to two digits, rounded up, so that it is true that something is within it."""
-    if value <= 0:
-        return "0"
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.1e}"
-
-
 def percents(share: float) -> str:
     """The size of a change in percent: whole ones, and below them one digit that is not 0."""
     size = abs(100 * share)
@@ -262,13 +257,3 @@ def change_text(value: float, passive: float) -> str:
         return ""
     share = value / passive - 1
     return f", {percents(share)} % {'above' if share > 0 else 'below'} {as_name(PASSIVE)}" if abs(share) >= LEAST else ""
-
-
-def names_text(names: Iterable[str]) -> str:
-    """Returns names of controllers in a sentence: `a`, `b` and `c`."""
-    return joined([as_name(name) for name in names])
-
-
-def joined(words: list[str]) -> str:
-    """a, b and c."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -8,13 +8,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import as_name
 from models.document.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
-from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
-from sim.studies.stability.margin_search import LoopMargins
 from sim.studies.stability.robustness import Robustness
 from sim.studies.stability.simulated_loop import Trial
+from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
 from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
@@ -32,25 +31,14 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 )
 
 
-def margins_figure(
-    vehicle: Vehicle,
-    controller: Controller,
-    loop: LoopMargins,
-    built: LoopMargins | None,
-    fragile: FragilityFound,
-    box: Robustness | None,
-) -> Figure:
+def margins_figure(found: StabilityMargins) -> Figure:
     """Draws the growth rate of the slowest mode: lines by the poles of the sampled linear loop, points by MuJoCo's own step.
 
     The margin is the common zero of both.
-
-    Args:
-        vehicle: the vehicle, its controller ideal.
-        loop: margins of all its loops together.
-        built: the same of the implemented loop; None if that is ideal.
-        box: the controller on other vehicles, or None if the kind has no variations.
     """
-    timestep, transfer = loop.timestep, sampled_loop_transfer(vehicle, controller, loop.timestep)
+    controller, fragile, loop, built = found.controller, found.fragile, found.loops[""], found.built.get("")
+    vehicle, timestep = fragile.vehicle, loop.timestep
+    transfer = sampled_loop_transfer(vehicle, controller, timestep)
 
     def rate(trial: Trial) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
@@ -59,7 +47,7 @@ def margins_figure(
 
     gain = loop.gain
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
-    title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
+    title = "gain: any; the limit here is that of the sampling" if ended else "gain of all loops together"
     searches: list[tuple[str, StabilityEdge, float, float, float, str, str]] = [
         (title, gain.search, gain.sampled[0], gain.search.found, 1.0, "factor on the gain", ""),
         ("delay from measurement to force", loop.delay, loop.predicted.delay, loop.found_delay, 1e3, "delay [ms]", " ms"),
@@ -75,27 +63,27 @@ def margins_figure(
     ]
     if built is not None:
         of = built.gain
-        searches.insert(0, ("more gain, as implemented", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
+        searches.insert(0, ("gain of the implemented loop", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
     lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
-    phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
+    phases = f" Predicted phase margins: lag {lag:.4g} rad, lead {lead:.4g} rad." if math.isfinite(lead) else ""
     panels = []
     for title, search, at, seen, scale, label, unit in searches:
         numbers = [
             f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" if value > 0 else "not found" for value in (at, seen)
         ]
-        title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+        title = f"{title}\npredicted: {numbers[0]}; MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, rate, scale))
     panels.append(_fragile_panel(fragile))
-    if box is not None:
-        panels.append(_box_panel(controller, box))
-    about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
-    title = f"{about}.{phases} Lines: slowest pole of the sampled loop. Points: MuJoCo's own step at {1e3 * timestep:g} ms"
+    if found.box is not None:
+        panels.append(_box_panel(controller, found.box))
+    about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: growth of the slowest mode"
+    title = f"{about}.{phases} Lines: linear analysis. Points: MuJoCo at {1e3 * timestep:g} ms"
     delay, period = loop.found_delay, loop.found_sample_period
-    bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
-    bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
+    limits = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
+    limits.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
     if math.isfinite(lead):
-        bears.append(f"a phase of {min(lag, lead):.3g} rad" + (" (a lead)" if lead < lag else " (a lag)"))
-    finding = f"{as_name(controller.name)} bears {', or '.join(bears)}, before its loop is unstable."
+        limits.append(f"a phase {'lead' if lead < lag else 'lag'} of {min(lag, lead):.3g} rad")
+    finding = f"The loop of {as_name(controller.name)} tolerates {', '.join(limits[:-1])} or {limits[-1]}."
     return Figure("margins", title, tuple(panels), finding=finding)
 
 
@@ -130,10 +118,10 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     known = [one.smallest_violation for one in predicted.within.values() if one.smallest_violation < end]
     amounts = np.unique([*np.linspace(0.0, min(stable.smallest_violation, 1.0), AMOUNTS), *known])
     largest = np.array([worst_error_found(fragile.gain, amount) for amount in amounts])
-    curves = [Curve(100 * amounts, np.where(np.isfinite(largest), largest, np.nan), "worst norm met", MET)]
+    curves = [Curve(100 * amounts, np.where(np.isfinite(largest), largest, np.nan), "worst norm found", MET)]
     steps = sorted((one.proved_margin, one.bound) for one in (*predicted.within.values(), stable) if one.proved_margin)
     edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
-    curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))
+    curves.append(Curve(100 * edges, bounds, "proved upper bound", PROVED, "dash"))
     low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
     if math.isfinite(stable.smallest_violation):
         curves.append(
@@ -146,7 +134,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
         f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
     ]
     limit = " (extrapolated)" if fragile.edge.extrapolated else ""
-    title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}{limit}"
+    title = f"independent errors of {whose(predicted)}\npredicted: {numbers[0]}; MuJoCo: {numbers[1]}{limit}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 
 
@@ -157,7 +145,7 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
     at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
-    verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
+    verdict = "agrees at every corner" if box.holds else "DOES NOT AGREE at every corner"
     nominal = controller.certificate.norm.value
     title = f"other vehicles: worst norm {box.norm:.4g} of {box.computed} computed, designed {nominal:.4g}\nMuJoCo {verdict}"
     if len(percent) == 1:

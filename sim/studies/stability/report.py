@@ -1,45 +1,107 @@
-"""Output of margins: text and JSON."""
+"""Margins as documents and JSON."""
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from models.common.printed import WIDTH, finite, wrapped
+from models.common.printed import WIDTH, as_name, finite
+from models.document.document import NOTE, Block, Document, Statement, Table, notes
+from models.document.field import Field
+from models.document.reading import Pivot
+from models.document.text import HANG
+from models.suspension.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
-from sim.studies.stability.fragility import FragilityFound
+from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
-from sim.studies.stability.robustness import Robustness, varied_text
-from synth.controller.controller import Controller
-from synth.controller.disk_margin import DiskMargin
-from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
+from sim.studies.stability.robustness import ParameterVertex, varied_text
+from sim.studies.stability.study import StabilityMargins
+from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
-UNDECIDED = "not found: the slowest mode creeps"
-TOO_LONG = f"longer ones than {SLOWEST:g} s are not run"
-NAME, CELL = 24, 12  # columns of a table of margins
 IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
-COUNTERPART = "the law is discrete: all numbers are of the continuous law whose Tustin transform it is"
+UNDECIDED = "undecided: the slowest mode hardly changes"
 
 
-def margins_object(
-    vehicle: Vehicle,
-    controller: Controller,
-    margins: dict[str, LoopMargins],
-    built: dict[str, LoopMargins],
-    fragile: FragilityFound,
-    box: Robustness | None,
-) -> dict[str, Any]:
-    """Returns the result as a JSON object: SI units, None for infinite or missing values.
+def number(value: float) -> str:
+    """Returns a margin: `any` if it is infinite, and `-` if no run shows it."""
+    return "any" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.5g}"
 
-    With `built`, margins of gain, phase and disk are those of the implemented loop, and `ideal` has the ideal ones.
+
+class Row(NamedTuple):
+    """A margin in a table.
+
+    Attributes:
+        controller: name of the controller.
+        margin: name of the margin with its unit.
+        predicted: predicted value in that unit.
+        found: value in MuJoCo.
+        note: remark on it.
+        extrapolated: True if the value in MuJoCo is the limit of two margins.
+        extra: True if comparisons of controllers omit it.
     """
-    objects = {name: _loop_object(one) for name, one in margins.items()}
-    for name, one in built.items():
+
+    controller: str
+    margin: str
+    predicted: float
+    found: float = math.nan
+    note: str = ""
+    extrapolated: bool = False
+    extra: bool = False
+
+
+MARGIN = Field[Row]("margin", lambda row: row.margin)
+PREDICTED = Field[Row]("predicted", lambda row: row.predicted, number)
+FOUND = Field[Row]("MuJoCo", lambda row: row.found, number)
+MARGINS = (MARGIN, PREDICTED, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
+COMPARED = (
+    Field[Row]("controller", lambda row: row.controller),
+    MARGIN,
+    PREDICTED,
+    Field[Row]("MuJoCo", lambda row: FOUND.cell(row) + " (extrapolated)" * row.extrapolated),
+)
+Loop = tuple[str, LoopMargins]
+LOOPS: tuple[Field[Loop], ...] = (
+    Field("loop, the others closed", lambda of: of[0]),
+    Field("gain", lambda of: of[1].predicted.gain, number),
+    Field("in MuJoCo", lambda of: of[1].gain.found, number),
+    Field("delay", lambda of: of[1].predicted.delay, number, 1e3, unit="ms"),
+    Field("in MuJoCo", lambda of: of[1].found_delay, number, 1e3, unit="ms"),
+)
+FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")
+FACTOR = Field[float]("factor", float, ".3g")
+PHASE = Field[float]("phase", float, ".3g", unit="rad")
+NORM = Field[float]("norm", float, ".5g")
+VALUE = Field[float]("value", float, ".4g")
+CORNER: tuple[Field[ParameterVertex], ...] = (
+    NORM.of(lambda corner: corner.norm),
+    Field("motion in MuJoCo", lambda corner: "decays" if corner.decays else "GROWS"),
+    Field("linear response", lambda corner: "agrees" if corner.agrees else "DOES NOT AGREE"),
+)
+BOX: tuple[Field[StabilityMargins], ...] = (
+    Field("controller", lambda of: of.controller.name),
+    Field("norm", lambda of: of.controller.certificate.norm.value, NORM.form),
+    Field("worst norm", lambda of: of.box and of.box.norm, NORM.form),
+    Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
+    Field("at", lambda of: of.box and _values(of.box.at)),
+    Field("corners: MuJoCo and analysis say the", lambda of: of.box and ("same" if of.box.holds else "NOT THE SAME")),
+    Field("margins", lambda of: "DOES NOT AGREE" if of.wrong else "agrees"),
+)
+
+
+def margins_object(found: StabilityMargins) -> dict[str, Any]:
+    """Returns the margins of a controller as a JSON object: SI units, None for infinite or missing values.
+
+    Margins of gain, phase and disk are those of the implemented loop, if that differs; `ideal` then has the ideal ones.
+    """
+    controller, fragile, box = found.controller, found.fragile, found.box
+    objects = {name: _loop_object(one) for name, one in found.loops.items()}
+    for name, one in found.built.items():
         ideal = {key: objects[name][key] for key in IMPLEMENTED}
         objects[name] |= {key: value for key, value in _loop_object(one).items() if key in IMPLEMENTED} | {"ideal": ideal}
     whole = objects.pop("")
     result = {"controller": controller.name, **whole, "loops": objects}
-    names = controller.measured, vehicle.linear_model.inputs
+    names = controller.measured, found.vehicle.linear_model.inputs
     edge = {
         "mujoco": finite(fragile.edge.found),
         "extrapolated": fragile.edge.extrapolated,
@@ -47,21 +109,17 @@ def margins_object(
     }
     weighted = {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
     result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge | weighted
-    if box is None:
-        return {**result, "robustness": None}
-    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
-    corners = [
-        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
-        for corner in box.corners
-    ]
-    result["robustness"] = {
-        "varied": varied,
+    result["robustness"] = box and {
+        "varied": {one.name: [one.smallest, one.largest] for one in box.varied},
         "computed": box.computed,
         "worst_norm": finite(box.norm),
         "at": box.at,
-        "corners": corners,
+        "corners": [
+            {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
+            for corner in box.corners
+        ],
     }
-    return result
+    return result | {"loop": " ".join(loop_texts(found.vehicle)) or None}
 
 
 def _loop_object(one: LoopMargins) -> dict[str, Any]:
@@ -105,183 +163,194 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
     ]
 
 
-OF_FEEDBACK = "all of its feedback alone; the road ahead changes no margin"
+def describe(found: StabilityMargins) -> Document:
+    """Returns the margins of a controller as a document."""
+    vehicle, controller, fragile = found.vehicle, found.controller, found.fragile
+    loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
+    loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
+    texts = loop_texts(vehicle)
+    if _fixed(found) is not None:
+        texts.append("The law is discrete; all margins are those of the continuous law of which it is the Tustin transform.")
+    if controller.preview is not None:
+        texts.append("The margins are those of the feedback; preview does not change them.")
+    blocks: list[Block] = [Document("", notes(" ".join(texts)))] if texts else []
+    blocks.append(Document("", (Table.of("margins", "Margins.", MARGINS, _rows(found)),)))
+    blocks += [Document("", (Table.of("loops", "Margins of each loop.", LOOPS, loops),))] if loops else []
+    for name, one in loops:
+        table = Table.of(name, "", MARGINS, _loop_rows(found, one))
+        blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
+    short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
+    details = [f"the worst errors: {_worst_errors(found)}"] if fragile.edge.own < math.inf else []
+    details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
+    errors = [*notes(_sentence(short)), *notes(*map(_sentence, filter(None, details)), detail="full")]
+    errors += notes(*(promise.text for promise in controller.robustness))
+    blocks += [Document("", tuple(errors)), Document("", tuple(_box_blocks(found)))]
+    return Document("", (*blocks, Document("", (verdict(found),))))
 
 
-def margins_lines(
-    vehicle: Vehicle,
-    controller: Controller,
-    margins: dict[str, LoopMargins],
-    built: dict[str, LoopMargins],
-    fragile: FragilityFound,
-    box: Robustness | None,
-    verbose: bool,
-) -> list[str]:
-    """Returns the margins of a loop, predicted and found, in lines for a terminal.
-
-    Without `verbose` a part that agrees is short: loops beside the first, norms with errors and rounding, other vehicles.
-    """
-    law = controller.law
-    fixed = law.sample_period if law.states else None
-    lines, brief = [COUNTERPART] if fixed is not None else [], []
-    whose = [(name, one, " as implemented") for name, one in built.items()]
-    for name, one, of in [*whose, *((name, one, ", ideal" if built else "") for name, one in margins.items())]:
-        if name and one.agrees and not verbose:
-            brief += _brief_lines(f"{name}{of}", one)
-            continue
-        lines += ["", *_loop_lines(f"{_called(name, len(margins))}{of}", one, fixed)]
-        lines += _agreement(one.agrees, verbose)
-    headings = ("gain", "MuJoCo", "delay, ms", "MuJoCo")
-    lines += ["", f"{'the others closed':{NAME + 2}}{''.join(f'{one:>{CELL}}' for one in headings)}", *brief] if brief else []
-    lines += ["", *_fragile_lines(vehicle, controller, fragile, verbose), *_agreement(fragile.agrees, verbose)]
-    lines += [OF_FEEDBACK] if controller.preview is not None else []
-    if box is None:
-        return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
-    at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
-    worst = f"{box.text}: worst norm {box.norm:.6g}"
-    sure = f"of {box.computed} vehicles computed, not proved between"
-    lines += ["", f"{worst} at {at}; the largest {sure}"] if verbose else [f"{worst} {sure}; -v: at which, and more"]
-    for corner in box.corners:
-        if corner.agrees and corner.decays and not verbose:
-            continue
-        at = ", ".join(f"{name} {value:.6g}" for name, value in corner.parameters.items())
-        physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
-        lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
-    return lines
-
-
-def _brief_lines(name: str, one: LoopMargins) -> list[str]:
-    """Returns a loop's gain and delay in a line."""
-    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.found_delay
-    return [f"  {name:{NAME + 2}}{''.join(map(_cell, numbers))[2:]}"]
-
-
-def _agreement(agrees: bool, verbose: bool) -> list[str]:
-    """Returns whether a part of the margins agrees; that it does is left to the verdict without `verbose`."""
-    if agrees:
-        return ["  agrees"] if verbose else []
-    return ["  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"]
-
-
-def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound, verbose: bool) -> list[str]:
-    """Returns lines on the loop's margin for errors of its readings and forces."""
-    predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
-    names = controller.measured, vehicle.linear_model.inputs
-    worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
-    told = verbose or len(worst) <= WIDTH - 6
-    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, _noted(edge, worst if told else ""))]
-    rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
-    details = [f"  {proved_text(predicted, norms=verbose)}"]
-    details += [f"  {rounding_text(controller.certificate.norm.value, fragile.rounding)}"] if verbose else []
-    for promise in controller.robustness:
-        details += wrapped(promise.text, "  ", 4)
-    return [*_table("bears errors up to, %", rows), *details]
-
-
-def verdict(
-    margins: dict[str, LoopMargins], built: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
-) -> str:
-    """Returns the verdict on the predicted margins."""
-    wrong = [f"{_called(name, len(margins))} as implemented" for name, one in built.items() if not one.agrees]
-    wrong += [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
-    if not fragile.agrees:
-        wrong.append(f"errors of {whose(fragile.predicted)}")
-    if box is not None and not box.holds:
-        wrong.append("other vehicles")
-    if wrong:
-        return f"DOES NOT AGREE: {'; '.join(wrong)}"
-    others = f", {len(box.corners)} other vehicles too" if box is not None else ""
-    edges = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
-    edges += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
-    decided = ", where its runs decide" if any(map(math.isnan, edges)) else ""
-    return f"agrees: the loop bears in MuJoCo what is predicted{decided}{others}"
-
-
-def _called(name: str, count: int) -> str:
-    """Returns the name of a loop, one of so many."""
-    return f"the loop of {name}, the others closed" if name else ("all loops at once" if count > 1 else "the loop")
-
-
-def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
-    """A loop's margins as a table; `fixed` is the sample period of a discrete law [s]."""
-    predicted, h = one.predicted, one.timestep
-    lower = predicted.gain_lower or one.found_gain_lower
-    rows = [
-        ("gain, factor", predicted.gain, one.gain.found, _noted(one.gain, "" if lower else "down to 0, too")),
-        *_sampled_rows(one.gain, h, 1),
+def compare(found: Sequence[StabilityMargins]) -> Document:
+    """Returns the margins of several controllers of a vehicle as a document with figures."""
+    vehicle, timestep = found[0].vehicle, found[0].fragile.timestep
+    texts = [
+        "Each margin is that of all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
+        f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm it: one decays, and one grows.",
+        "Phase lead and disk margin are only predicted. The disk margin d allows simultaneous changes of gain and phase: each "
+        "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
+        f"Other vehicles: {varied_text(vehicle.kind)}. Nothing is proved between the vehicles that were computed.",
+        *loop_texts(vehicle),
+        *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
+    rows = [row for one in found for row in _rows(one) if not row.extra]
+    caption = "Largest change of each quantity before the loop is unstable: predicted, and found in MuJoCo."
+    pivot = Pivot(("margin",), "controller", ("predicted", "MuJoCo"))
+    tables = (
+        Table.of("margins", caption, COMPARED, rows, 2, pivot),
+        Table.of("robustness", "Largest norm of other vehicles, and MuJoCo at the corners of the ranges.", BOX, found),
+    )
+    return Document("Stability margins", (*map(verdict, found), *notes(*texts), *map(margins_figure, found), *tables))
+
+
+def verdict(found: StabilityMargins) -> Statement:
+    """Returns the statement on the predicted margins."""
+    name, box = as_name(found.controller.name), found.box
+    if found.wrong:
+        wrong = "; ".join(found.wrong)
+        return Statement(f"MuJoCo DOES NOT AGREE with the predicted margins of {name}: {wrong}. Try a smaller timestep.", "fails")
+    if box is not None and not box.holds:
+        return Statement(f"MuJoCo DOES NOT AGREE with linear analysis on other vehicles with {name}.", "fails")
+    edges = [found.fragile.edge.found]
+    for loop in found.loops.values():
+        edges += [loop.gain.found, loop.found_gain_lower, loop.found_delay, loop.found_sample_period]
+    decided = ", if its runs decide" if any(map(math.isnan, edges)) else ""
+    others = f", also on {len(box.corners)} other vehicles" if box is not None else ""
+    return Statement(f"MuJoCo agrees with the predicted margins of {name}{decided}{others}.", "holds")
+
+
+def loop_texts(vehicle: Vehicle) -> list[str]:
+    """Describes the loop of the margins, if the vehicle file has more than parameters."""
+    texts, how = [], vehicle.implementation
+    if not vehicle.ideal or vehicle.dampers:
+        lag = "has no actuator lag" if vehicle.limits.actuator_bandwidth is None else "includes the lag of its actuators"
+        texts.append(f"The loop {lag}.")
+        texts += [] if how.undelayed else ["Delay and sample period are totals, which include those of the vehicle file."]
+        texts += [f"It does not include {how.noise_text}."] if how.has_measurement_noise else []
+        texts += ["Margins require that the dampers of [actuators] give the commanded force."] if vehicle.dampers else []
+        texts.append("Norms are those of the ideal loop.")
+    if slopes := lines_at_rest(vehicle.fitted):
+        texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
+    if bent_at_rest(vehicle):
+        texts.append("So they are in MuJoCo, as a curve with a kink at equilibrium has no derivative there.")
+    return texts
+
+
+def _fixed(found: StabilityMargins) -> float | None:
+    """Returns the sample period of a discrete law [s]."""
+    law = found.controller.law
+    return law.sample_period if law.states else None
+
+
+def _rows(found: StabilityMargins) -> list[Row]:
+    """Returns the margins of all actuators together: of the implemented loop, of the ideal loop, and for errors."""
+    built, fragile = found.built.get(""), found.fragile
+    rows = [*_loop_rows(found, built), *_loop_rows(found, found.loops[""], ", ideal loop")] if built else []
+    edge, name = fragile.edge, found.controller.name
+    worst = _worst_errors(found) if math.isfinite(edge.own) else "none up to 100 % found"
+    note = _noted(edge, worst if len(worst) <= WIDTH - HANG else "")
+    return [
+        *(rows or _loop_rows(found, found.loops[""])),
+        Row(name, "error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated),
+        *_sampled_rows(name, edge, fragile.timestep, scale=100.0),
+    ]
+
+
+def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
+    """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
+    predicted, h, name = one.predicted, one.timestep, found.controller.name
+    lower = predicted.gain_lower or one.found_gain_lower
+    note = _noted(one.gain, "" if lower else "stable down to 0")
+    rows = [Row(name, f"gain{of}, factor", predicted.gain, one.gain.found, note, one.gain.extrapolated)]
+    rows += _sampled_rows(name, one.gain, h)
     if lower:
-        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, _noted(one.gain_lower)))
-        rows += _sampled_rows(one.gain_lower, h, -1)
-    where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
+        seen = one.found_gain_lower, _noted(one.gain_lower), one.gain_lower.extrapolated
+        rows += [Row(name, f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True)]
+        rows += _sampled_rows(name, one.gain_lower, h, -1)
+    at = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
+    rows.append(Row(name, f"phase lag{of} [rad]", predicted.phase, one.found_phase, at))
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
-        rows.append(("phase lag, rad", predicted.smallest_phase, math.nan, "at another crossover than that of the delay"))
-        rows.append(("  of the delay", predicted.phase, one.found_phase, where))
-    else:
-        rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
-    where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
-    rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
+        note = "at another crossover than that of the delay"
+        rows.append(Row(name, f"smallest phase lag{of} [rad]", predicted.smallest_phase, note=note, extra=True))
+    at = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else ""
+    rows.append(Row(name, f"phase lead{of} [rad]", predicted.lead, note=at))
+    low, high = predicted.disk.gain
+    factors = f"{FACTOR.text(low)} to {FACTOR.text(high)}" if math.isfinite(high) else "any"
+    note = f"gain {factors}, or {PHASE.text(predicted.disk.phase)}"
+    rows.append(Row(name, f"disk margin{of}", predicted.disk.size, note=note))
+    total = one.sample_period.searched
     if one.delay.searched:
         samples = ""
         if math.isfinite(one.delay.unstable) and one.delay.decided:
             samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
-        name = "delay, ms" if one.sample_period.searched else "more delay, ms"
-        note = _noted_edge(one.delay, one.found_delay, samples)
-        rows.append((name, 1e3 * one.predicted_delay, 1e3 * one.found_delay, note))
-    if not one.sample_period.searched:
-        return _table(title, rows)
-    own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
-    if predicted.all_sampled:
-        own = "; ".join(filter(None, (own, "all forces sampled")))
-    if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
-        return [*_table(title, rows), f"  sample period: {own}"]
-    own = _noted_edge(one.sample_period, one.found_sample_period, own)
-    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, own))
-    return _table(title, rows)
+        note = _noted_time(one.delay, one.found_delay, samples)
+        times = 1e3 * one.predicted_delay, 1e3 * one.found_delay
+        rows.append(Row(name, "delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
+    if total:
+        fixed = _fixed(found)
+        own = ["" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms", "all forces sampled" * predicted.all_sampled]
+        note = _noted_time(one.sample_period, one.found_sample_period, *own)
+        rows.append(Row(name, "sample period [ms]", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, note))
+    return rows
 
 
-def _noted_edge(edge: StabilityEdge, found: float, note: str) -> str:
-    """Returns a note on a time at which a loop is lost, with the reason if no run decides it."""
-    if not edge.decided:
-        return "; ".join(filter(None, (note, UNDECIDED)))
-    return "; ".join(filter(None, (note, f"none up to {edge.stable:g} s; {TOO_LONG}" if math.isnan(found) else "")))
-
-
-def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
-    """Returns the disk margin as a row: which factors, and which turns, are on its edge."""
-    low, high = disk.gain
-    factors = f"{low:.3g} to {high:.3g}" if math.isfinite(high) else "any factor"
-    return "disk margin", disk.size, math.nan, f"{factors}; or {disk.phase:.3g} rad"
-
-
-def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
-    """Returns rows of name, predicted value, value found, and a note to the right, or below if it does not fit."""
-    heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
-    room = NAME + 2
-    lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]
-    for name, first, second, note in rows:
-        row = f"  {name:{NAME}}{_cell(first)}{_cell(second)}"
-        beside = f"{row}  {note}".rstrip()
-        lines += [beside] if len(beside) <= WIDTH else [row, *wrapped(note, "      ")]
-    return lines
-
-
-def _noted(gain: GainMargin, note: str = "") -> str:
-    """Returns a note on a margin; it begins with the word for one that is extrapolated from MuJoCo's runs."""
-    undecided = UNDECIDED if math.isnan(gain.found) else ""
-    return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else undecided, note)))
-
-
-def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
+def _sampled_rows(name: str, gain: GainMargin, h: float, power: int = 1, scale: float = 1.0) -> list[Row]:
     """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
-        (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")
+        Row(name, f"  sampled every {1e3 * step:g} ms", scale * at**power, scale * search.found**power, extra=True)
         for step, at, search in searches
         if gain.finer.searched
     ]
 
 
-def _cell(value: float) -> str:
-    """Returns a number in its column: `any` of an infinite one, and nothing of one that no run can show."""
-    return f"{'any' if math.isinf(value) else '-' if math.isnan(value) else format(value, '.6g'):>{CELL}}"
+def _joined(*texts: str) -> str:
+    return "; ".join(filter(None, texts))
+
+
+def _noted(gain: GainMargin, note: str = "") -> str:
+    """Returns a note on a margin, with the reason if no run decides it."""
+    return _joined(UNDECIDED * math.isnan(gain.found), note)
+
+
+def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
+    """Returns a note on a time at which a loop is unstable, with the reason if no run decides it."""
+    reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
+    return _joined(*texts, reason if edge.decided else UNDECIDED)
+
+
+def _worst_errors(found: StabilityMargins) -> str:
+    """Returns the smallest errors that make the loop unstable."""
+    return errors_text(found.fragile.predicted.stable, found.controller.measured, found.vehicle.linear_model.inputs)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _values(parameters: dict[str, float]) -> str:
+    """Returns parameters with their values."""
+    return ", ".join(f"{name.replace('_', ' ')} {VALUE.text(value)}" for name, value in parameters.items())
+
+
+def _box_blocks(found: StabilityMargins) -> list[Block]:
+    """Returns what other vehicles make of the norm."""
+    box = found.box
+    if box is None:
+        return [*notes(f"Other vehicles: {varied_text(found.vehicle.kind)}.")]
+    worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
+    text = f"Other vehicles ({box.text}): the worst norm of {box.computed} is {worst}; nothing is proved between them."
+    factors = [
+        Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
+        for i, one in enumerate(box.varied)
+    ]
+    detail = "full" if box.holds else "normal"
+    corners = Document("", (Table.of("corners", "", (*factors, *CORNER), box.corners),), detail)
+    return [*notes(text), *notes(f"The worst norm is at {_values(box.at)}.", detail="full"), corners]

@@ -1,29 +1,28 @@
 """Edges of a map of validity along one axis, at every value of the other: where the linear regime ends, and by which end."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from models.common.printed import finite
+from models.document.document import Document, Table, notes
+from models.document.field import Field
 from models.roads.road import LIMITS
-from models.vehicle.vehicle import Vehicle
 from sim.response.regime import END_NAMES
-from sim.studies.validity.grid import UNITS, GridAxis
+from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
 
 LINES = 4  # of a map, on a terminal
-PARTS = 3  # of a line
+PARTS = 2  # ends of a line
+HEIGHT = Field[float]("height", float, ".4g", unit="m")
+TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
 
-def edges_object(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> dict[str, Any]:
-    """Returns the edges as a JSON object, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's.
-
-    Args:
-        axes: axes of the map, one or two.
-        proportional: True if responses are proportional to the height, so that one response predicts the end.
-    """
-    along, *others = sorted(axes, key=lambda axis: axis.name != "height")
+def edges_object(cells: Cells) -> dict[str, Any]:
+    """Returns the edges as a JSON object, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's."""
+    proportional = not (cells.loads or cells.vehicle.is_curved)  # so that one response predicts all heights
+    along, *others = sorted(cells.axes, key=lambda axis: axis.name != "height")
     members: dict[float, list[int]] = {}
     for i, bump in enumerate(cells.bumps):
         members.setdefault(getattr(bump, others[0].name) if others else 0.0, []).append(i)
@@ -55,45 +54,52 @@ def edges_object(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> 
     return {"along": along.name, "lines": lines, "enclosed": enclosed}
 
 
-def edge_lines(edges: Mapping[str, Any], fixed: Mapping[str, float]) -> list[str]:
-    """Returns a few edges in lines for a terminal.
-
-    Args:
-        edges: the edges as a JSON object.
-        fixed: values of the quantities that are not varied.
-    """
+def edge_document(cells: Cells) -> Document:
+    """Returns a few edges as a document."""
+    edges = edges_object(cells)
     along, every = edges["along"], edges["lines"]
-    rest = " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in fixed.items())
-    lines = [f"where the linear regime ends along the {along}, with {rest}:"]
-    shown = sorted({round(i) for i in np.linspace(0, len(every) - 1, min(LINES, len(every)))})
-    for edge in (every[i] for i in shown):
-        name = next((name for name in UNITS if name in edge), "")
-        parts = edge["breaks_first"]
-        texts = [_part(part, UNITS[along], first=not i) for i, part in enumerate(parts[:PARTS])]
-        texts += ["and so on"] if len(parts) > PARTS else []
-        if end := edge["predicted"]:
-            same = len(parts) == 2 and parts[1]["end"] == end
-            texts[-1] += f"; predicted {'' if same else f'{end} '}from {edge['predicted_from']:.4g} m"
-        found = [one for one in edges["enclosed"] if along == "height" and (not name or one[name] == edge[name])]
-        for one in found[:1]:
-            ended = f", {one['ended_by']} at {one['ended_at']:.4g} m" if one["ended_by"] else ""
-            texts[-1] += f"; MuJoCo: nothing at {one['linear_at']:.4g} m{ended}"
-        at = f"at a {name} of {edge[name]:.4g} {UNITS[name]}: " if name else ""
-        lines.append(f"  {at}{', '.join(texts)}")
-    left = len(every) - len(shown)
-    return [*lines, f"  and {left} more between, in --json"] if left else lines
+    other = next((axis.name for axis in cells.axes if axis.name != along), "")
+    shown = [every[i] for i in sorted({round(i) for i in np.linspace(0, len(every) - 1, min(LINES, len(every)))})]
+    found = {one.get(other): one for one in reversed(edges["enclosed"])} if along == "height" else {}
+    fields: list[Field[dict[str, Any]]] = [
+        Field("first limit", lambda edge: ", ".join(_ends(edge)) or edge["predicted"] or "none"),
+        Field("cell", _begins, ".4g", unit=UNITS[along]),
+        Field("predicted", lambda edge: edge["predicted_from"], HEIGHT.form, unit="m"),
+        Field("MuJoCo", lambda edge: _enclosed(found.get(edge.get(other))), unit="m"),
+    ]
+    fields[:0] = [Field(other, lambda edge: edge[other], ".4g", unit=UNITS[other])] if other else []
+    fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
+    texts = [f"{len(every) - len(shown)} more are in --json."] if len(every) > len(shown) else []
+    rest = " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in cells.fixed.items())
+    table = Table.of("edges", "First limit along the map.", fields, shown)
+    return Document(f"First limit along the {along}, with {rest}", (table, *notes(*texts, *travel_texts(cells))))
 
 
-def _part(part: Mapping[str, Any], unit: str, first: bool) -> str:
-    if first and not part["end"]:
-        return f"nothing up to {part['to']:.4g} {unit}"
-    return f"{part['end'] or 'nothing'} from {part['from']:.4g} {unit}"
+def _begins(edge: Mapping[str, Any]) -> float | None:
+    """Returns where the first cell of an edge with an end is."""
+    return next((part["from"] for part in edge["breaks_first"] if part["end"]), None)
 
 
-def travel_line(vehicle: Vehicle, cells: Cells) -> list[str]:
-    """Returns a line on how far a suspension without bump stops moves where nothing breaks; empty if every one has stops."""
-    suspensions = vehicle.kind.suspensions
+def _ends(edge: Mapping[str, Any]) -> list[str]:
+    """Returns the first ends along an edge."""
+    ends = [part["end"] for part in edge["breaks_first"] if part["end"]]
+    return [*ends[:PARTS], *(["..."] if len(ends) > PARTS else [])]
+
+
+def _enclosed(one: Mapping[str, Any] | None) -> str:
+    """Returns the two heights that enclose an end in MuJoCo, and its name if it is not the predicted one."""
+    if one is None:
+        return "-"
+    if one["ended_at"] is None:
+        return f"above {HEIGHT.digits(one['linear_at'])}"
+    name = "" if one["ended_by"] == one["predicted"] else f" {one['ended_by']}"
+    return f"{HEIGHT.digits(one['linear_at'])} to {HEIGHT.digits(one['ended_at'])}{name}"
+
+
+def travel_texts(cells: Cells) -> list[str]:
+    """Describes how far a suspension without bump stops moves where no limit is reached; empty if every one has stops."""
+    suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
-    if not len(whole) or len(vehicle.limits.stops(suspensions)) == len(suspensions):
+    if not len(whole) or len(cells.vehicle.limits.stops(suspensions)) == len(suspensions):
         return []
-    return [f"no bump stops in the file: where nothing breaks a suspension moves up to {1e3 * whole.max():.3g} mm"]
+    return [f"Below the limits, a suspension moves up to {TRAVEL.text(whole.max())}; the file has no bump stops."]

@@ -25,6 +25,7 @@ from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
+from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed
 from synth.controller.controller import Controller, has_anti_windup
@@ -41,6 +42,10 @@ class Cells:
     """Cells of the map, N of them, in the order of their bumps.
 
     Attributes:
+        vehicle: the vehicle.
+        controller: its controller.
+        loads: loads on the body over every bump.
+        threshold: error with which linear analysis counts as valid, relative to the peak.
         bumps: bumps, one for each cell.
         used: share of the way to each of `REGIME_ENDS` by analysis, shape (N, E).
         predicted: first end by analysis, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
@@ -51,6 +56,10 @@ class Cells:
         ends: heights that MuJoCo encloses, by the index of a cell of their length and speed.
     """
 
+    vehicle: Vehicle
+    controller: Controller
+    loads: tuple[Load, ...]
+    threshold: float
     bumps: tuple[Bump, ...]
     used: Array
     predicted: Array
@@ -59,6 +68,20 @@ class Cells:
     driven: Mapping[int, MapRun]
     boundary: frozenset[int]
     ends: Mapping[int, RegimeEnd]
+
+    @property
+    def axes(self) -> tuple[GridAxis, ...]:
+        """Returns the axes of the map, the one that runs fastest last."""
+        values = {name: tuple(sorted({getattr(bump, name) for bump in self.bumps})) for name in UNITS}
+        first, second, *_ = self.bumps
+        axes = [GridAxis(name, some) for name, some in values.items() if len(some) > 1]
+        return tuple(sorted(axes, key=lambda axis: getattr(first, axis.name) != getattr(second, axis.name)))
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Returns the quantities that are the same for all bumps."""
+        varied = [axis.name for axis in self.axes]
+        return {name: getattr(self.bumps[0], name) for name in UNITS if name not in varied}
 
     def end_of(self, i: int) -> str:
         """Returns the name of the predicted first end of a cell; empty without an end."""
@@ -76,7 +99,7 @@ class Cells:
             return ""
         least, most = percent(min(some)), percent(max(some))
         much = most if least == most else f"{least} to {most}"
-        return f"of the force asked of its adjustable dampers {much} (rms) is missing"
+        return f"its semi-active dampers lack {much} (rms) of the commanded force"
 
     @cached_property
     def others(self) -> frozenset[int]:
@@ -114,6 +137,7 @@ def validity(
     progress: Callable[[int], None] = lambda done: None,
     loads: tuple[Load, ...] = (),
     every: bool = False,
+    threshold: float = 0.05,
 ) -> Cells:
     """Predicts the first end over every bump, and runs some of them in MuJoCo.
 
@@ -123,6 +147,7 @@ def validity(
         progress: callback that receives the number of predicted cells.
         loads: loads on the body over every bump.
         every: True to run every cell in MuJoCo.
+        threshold: error with which linear analysis counts as valid, relative to the peak.
     """
     used, predicted, when, travel = _predicted(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
@@ -137,7 +162,9 @@ def validity(
     found = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
     ends = {i: end for i, end in zip(edges, found, strict=True) if end is not None}
     results = dict(zip(chosen.tolist(), runs, strict=True))
-    return Cells(tuple(bumps), used, predicted, when, travel, results, frozenset(boundary), ends)
+    return Cells(
+        vehicle, controller, loads, threshold, tuple(bumps), used, predicted, when, travel, results, frozenset(boundary), ends
+    )
 
 
 def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:

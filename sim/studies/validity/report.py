@@ -1,8 +1,8 @@
-"""A map of validity in words, as JSON, as a table, and drawn so that it needs no explanation."""
+"""Maps of validity and ends of the linear regime as documents, JSON, CSV and figures."""
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +11,56 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, at_most
 from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
-from models.roads.load import Load
+from models.document.text import names_text
+from models.roads.road import Bump
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
+from sim.studies.validity.edges import HEIGHT, edge_document, edges_object
 from sim.studies.validity.grid import UNITS, GridAxis
+from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
 from synth.controller.report import built_words
 
+OneEnd = tuple[Controller, RegimeEnd | None]
 
-def write_csv(path: Path, cells: Cells, threshold: float) -> None:
+
+def share(value: float) -> str:
+    """Returns a share of cells in percent."""
+    return f"{100 * value:.1f} %"
+
+
+HOLDS = Field[Cells]("linear analysis holds", lambda cells: cells.share(lambda one: one.error <= cells.threshold), share)
+FIRST = tuple(
+    Field[Cells](f"{end} first" if end else "nothing breaks", lambda cells, i=i: float(np.mean(cells.predicted == i)), share)
+    for i, end in enumerate(("", *END_NAMES), -1)
+)
+VALIDITY = (
+    Field[Cells]("controller", lambda cells: cells.controller.name),
+    HOLDS,
+    *FIRST,
+    Field[Cells]("as predicted", lambda cells: cells.agreement, lambda value: f"{100 * value:.2f} %"),
+    Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
+)
+THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
+ENDS: tuple[Field[OneEnd], ...] = (
+    Field("controller", lambda of: of[0].name),
+    Field("predicted end", lambda of: of[1].predicted_end if of[1] else "at no height"),
+    Field("at", lambda of: of[1] and of[1].predicted, "{:.5g}".format, unit="m"),
+    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, "{:.5g}".format, unit="m"),
+    Field("off by, of a peak", lambda of: of[1] and of[1].error, "{:.1e}".format),
+    Field("and not at", lambda of: of[1] and of[1].leaves, ".5g", unit="m"),
+    Field("ended by", lambda of: of[1] and (of[1].end or "nothing")),
+)
+
+
+def write_csv(path: Path, cells: Cells) -> None:
     """Writes a row per cell, in SI units; events that never happen, and results of MuJoCo where it was not run, are empty."""
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
@@ -33,31 +69,27 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
         dampers = ("missing_force",) if _has_dampers(cells) else ()
         shares = (f"linear_share_of_{name}" for name in names)
         writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
-        for row, used in zip(_cells(cells, threshold), cells.used.tolist(), strict=True):
+        for row, used in zip(_cells(cells), cells.used.tolist(), strict=True):
             of_cell = [*(row[name] for name in (*UNITS, *columns)), *used]
             writer.writerow([*of_cell, *(row[name] for name in dampers), row["simulated"], True])
 
 
-def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
+def envelope_object(cells: Cells) -> dict[str, Any]:
     """The map as in JSON: SI units, None for what never happens, and for results of MuJoCo where it was not run."""
     return {
-        "controller": controller,
-        "axes": {axis.name: list(axis.values) for axis in axes},
-        "threshold": threshold,
+        "controller": cells.controller.name,
+        "axes": {axis.name: list(axis.values) for axis in cells.axes},
+        "threshold": cells.threshold,
         "agreement": cells.agreement,
         "unexplained": cells.unexplained,
         "done": len(cells.bumps),
         "complete": True,
-        "cells": _cells(cells, threshold),
+        "cells": _cells(cells),
+        "edges": edges_object(cells),
     }
 
 
-def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
-    """Returns the requested loads over every bump as a JSON object; empty without loads."""
-    return {"loads": list(given)} if given else {}
-
-
-def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
+def _cells(cells: Cells) -> list[dict[str, Any]]:
     """Returns a JSON object for each cell."""
     rows = []
     for i, bump in enumerate(cells.bumps):
@@ -66,7 +98,7 @@ def _cells(cells: Cells, threshold: float) -> list[dict[str, Any]]:
         row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted_time[i]), "agrees": None}
         row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
         if (one := cells.driven.get(i)) is not None:
-            row |= {"error": finite(one.error), "holds": one.error <= threshold, "at": finite(one.time)}
+            row |= {"error": finite(one.error), "holds": one.error <= cells.threshold, "at": finite(one.time)}
             row |= {"broke_first": END_NAMES[one.first] if one.first >= 0 else None, "agrees": i not in cells.others}
             row |= {"missing_force": one.missing} if _has_dampers(cells) else {}
         rows.append(row)
@@ -78,46 +110,118 @@ def _has_dampers(cells: Cells) -> bool:
     return any(math.isfinite(one.missing) for one in cells.driven.values())
 
 
-def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns lines on the parts of computer and actuators in linear analysis, and those in MuJoCo only."""
-    how = vehicle.implementation
-    if not controller.law.acts or (how.ideal and vehicle.limits.actuator_bandwidth is None):
-        return []
-    linear = built_words(vehicle)
-    lines = [f"linear analysis is of the loop as built: {linear}"] if linear else []
-    if not how.has_measurement_noise:
-        return lines
-    return [*lines, f"{how.noise_text} is in MuJoCo alone, and makes most of the error over small bumps"]
-
-
-def envelope_lines(cells: Cells, threshold: float) -> list[str]:
-    """Returns a map in lines for a terminal."""
-
-    def share(share: float, of: str = "the cells") -> str:
-        return f"  {100 * share:5.1f} % of {of}"
-
-    analysis = "the analysis with its dampers" if cells.short else "linear analysis"
-    first, count, others = cells.predicted, len(cells.driven), len(cells.others)
-    lines = [f"what ends the linear regime first, as {analysis} predicts:", f"{share(float(np.mean(first < 0)))}: nothing breaks"]
-    lines += [f"{share(float(np.mean(first == i)))}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(first == i)]
-    if np.any(first == END_NAMES.index(CURVE.name)):
-        lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
-    lines += ["", f"MuJoCo, run in {count} of {len(cells.bumps)} cells:"]
-    holds = cells.share(lambda one: one.error <= threshold)
-    lines.append(f"{share(holds, 'these')}: linear analysis holds to {threshold:g} of every peak")
+def describe(cells: Cells) -> Document:
+    """Returns a map as a document."""
+    shown = [field for field in FIRST if field.value(cells)]
+    table = Table("shares", "", ("first limit, predicted", "cells"), tuple((field.label, field.cell(cells)) for field in shown))
+    texts = [
+        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of them, linear analysis is within "
+        f"{THRESHOLD.text(cells.threshold)} of every peak."
+    ]
+    if np.any(cells.predicted == END_NAMES.index(CURVE.name)):
+        off = f"{100 * LEAVES:g} % of its largest force"
+        texts.insert(0, f"A curve is a limit if the force of a spring or damper differs from its linearisation by {off}.")
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
-        lines.append(f"{share(away, 'these')}: the law's own states run away until it asks for no finite force")
+        texts.append(f"In {share(away)} of them, the states of the law overflow, and it requests no finite force.")
     if cells.short:
-        lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
-        lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
-    text = f"; of the other {others}, {cells.unexplained or 'none'} lies away from a boundary" if others else ""
-    text = f"{count - others} of {count} cells break as {analysis} predicts{text}"
+        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map is of the analysis with the dampers.")
+    first = _loop_texts(cells)
+    parts = (edge_document(cells), Document("", (table, *notes(*texts))), Document("", (verdict(cells),)))
+    return Document("", (*([Document("", notes(*first))] if first else []), *parts))
+
+
+def _loop_texts(cells: Cells) -> list[str]:
+    """Describes the parts of computer and actuators in linear analysis, and those in MuJoCo only; and a loop that is unstable."""
+    vehicle, certificate, texts = cells.vehicle, cells.controller.certificate, list[str]()
+    how = vehicle.implementation
+    if cells.controller.law.acts:
+        linear = built_words(vehicle)
+        texts += [f"Linear analysis is of the implemented loop: {linear}."] if linear else []
+        noise = f"MuJoCo also has {how.noise_text}, which is most of the error over small bumps."
+        texts += [noise] if how.has_measurement_noise else []
+    if not certificate.stable:
+        texts.append(f"UNSTABLE loop; every run grows: {certificate.own.words.removeprefix('unstable: ')}.")
+    return texts
+
+
+def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Document:
+    """Returns the maps of several controllers over the same bumps as a document with figures.
+
+    Args:
+        timestep: timestep of the physics [s].
+        without: noise and quantisation that the runs omit, after a comma.
+    """
+    size = " by ".join(f"{len(axis.values)} {axis.name}s" for axis in maps[0].axes)
+    text = (
+        f"Bumps of {_fixed(maps[0])}, {size}. Colours show the first limit that one linear response per speed predicts. "
+        f"MuJoCo runs cells all over the map, and two bumps at every edge, at {1e3 * timestep:g} ms{without}.",
+        f"Linear analysis holds in a run if it is within {THRESHOLD.text(maps[0].threshold)} of every peak.",
+    )
+    caption = "Shares of each map by the first limit that is predicted; in MuJoCo's runs, where analysis holds, and as predicted."
+    figures = [envelope_figure(one) for one in maps]
+    blocks = (*map(verdict, maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
+    return Document("Range of linear analysis over height and speed", blocks)
+
+
+def verdict(cells: Cells) -> Statement:
+    """Returns the statement on the map of a controller."""
+    count, others, agrees = len(cells.driven), len(cells.others), cells.as_predicted
+    text = f"the first limit is the predicted one in {count - others} of {count} cells"
+    text += f" (of the other {others}, {cells.unexplained or 'none'} is not at a boundary)" if others else ""
     if cells.ends:
         agree = sum(end.confirmed for end in cells.ends.values())
-        text += (
-            f"; {agree} of {len(cells.ends)} ends along the edge are the predicted ones, within {_within(cells)} of the height"
-        )
-    return [*lines, f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {text}"]
+        text += f", and at {agree} of {len(cells.ends)} edges, within {_within(cells)} of the height"
+    agreement = "agrees" if agrees else "DOES NOT AGREE"
+    name = as_name(cells.controller.name)
+    return Statement(f"MuJoCo {agreement} with the map of {name}: {text}.", "holds" if agrees else "fails")
+
+
+def describe_ends(
+    vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str], bump: Bump, where: str, duration: float, timestep: float
+) -> Document:
+    """Returns up to which height of a bump linear analysis is valid, for some controllers, as a document.
+
+    Args:
+        wrong: controllers of which no height is claimed, as their runs do not agree.
+        where: the road of these runs.
+        duration: duration of the runs over the bump [s].
+        timestep: timestep of the physics [s].
+    """
+    noise = f", without its {vehicle.implementation.noise_text}," if vehicle.implementation.has_measurement_noise else ""
+    heights, statements, errors = list[str](), list[Statement](), list[float]()
+    if wrong:
+        text = f"For {names_text(wrong)}, no height is claimed, because MuJoCo does not agree over {where}."
+        statements.append(Statement(text, "fails"))
+    for one, end in ends:
+        name = as_name(one.name)
+        if end is None and one.name not in wrong:
+            heights.append(f"{name} any height")
+        elif end is not None and one.name not in wrong and end.confirmed:
+            found, predicted = FOUND.digits(end.found), FOUND.digits(end.predicted)
+            heights.append(f"{name} {found} m ({end.end}{f', predicted {predicted}' if predicted != found else ''})")
+            errors.append(end.error)
+        elif end is not None and one.name not in wrong:
+            text = f"MuJoCo DOES NOT leave the linear range of {name} as predicted, by {end.predicted_end} at "
+            statements.append(Statement(f"{text}{HEIGHT.text(end.predicted)}.", "fails"))
+    if heights:
+        which = "the analysis with semi-active dampers" if vehicle.dampers else "linear analysis"
+        which += "" if vehicle.ideal else f" of the implemented loop{noise}"
+        text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
+        if errors:
+            text += (
+                f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher: over the lower ones, no limit is "
+                f"reached, and analysis is within {at_most(max(errors))} of every peak; over the higher ones, this limit is."
+            )
+        statements.insert(0, Statement(text, "holds"))
+    text = (
+        f"One linear run of the implemented loop{noise} predicts the height. Runs take {duration:g} s at {1e3 * timestep:g} ms."
+    )
+    caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
+    table = Table.of("regime", caption, ENDS, ends, words=2)
+    return Document("Range of linear analysis over bumps", (*statements, *notes(text), table))
+
+
+FOUND = Field[float]("height", float, ".3g", unit="m")
 
 
 def _within(cells: Cells) -> str:
@@ -125,34 +229,23 @@ def _within(cells: Cells) -> str:
     return percent(math.ceil(1e3 * cells.furthest - 1e-6) / 1e3) if math.isfinite(cells.furthest) else "no height"
 
 
+def _fixed(cells: Cells) -> str:
+    """Describes what is the same for all bumps."""
+    return " and ".join(f"{value:g} {UNITS[name]} {name}" for name, value in cells.fixed.items())
+
+
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING = "#dcefdc"
 
 
-def envelope_figure(
-    vehicle: Vehicle,
-    controller: Controller,
-    cells: Cells,
-    axes: "Sequence[GridAxis]",
-    fixed: Mapping[str, float],
-    threshold: float,
-    loads: Sequence[Load] = (),
-) -> Figure:
+def envelope_figure(cells: Cells) -> Figure:
     """Returns the map: colours show the predicted first end, the line where the regime ends, and markers what MuJoCo says.
 
-    Args:
-        cells: cells of the grid, the last axis running fastest.
-        axes: axes of the map, one or two; with one, the shares of the way to each end are drawn.
-        fixed: values that are not varied.
-        threshold: error up to which linear analysis holds.
-        loads: loads on the body over every bump.
+    With one axis, the shares of the way to each end are drawn.
     """
-    rest = ", ".join(
-        f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
-    )
-    rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
+    vehicle, axes = cells.vehicle, cells.axes
     if len(axes) == 1:
-        return _line_figure(controller, cells, axes[0], _title(vehicle, controller, cells, rest), threshold)
+        return _line_figure(cells, axes[0])
     # Height, or else length, is vertical, whatever order was asked for.
     shape = (len(axes[0].values), len(axes[1].values))
     turned = axes[1].name == "height" or axes[0].name == "speed"
@@ -162,39 +255,37 @@ def envelope_figure(
         return values.reshape(shape).T if turned else values.reshape(shape)
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
-    first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
-    nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(cells.predicted + 1), (NOTHING, *(end.color for end in REGIME_ENDS)), (nothing, *first))
+    colors = (NOTHING, *(end.color for end in REGIME_ENDS))
+    first = (f"{end.name} first{_at(vehicle, end)}" for end in REGIME_ENDS)
+    nothing = "no limit is reached" + "; dampers lack force" * bool(cells.short)
+    ground = Classes(x, y, plane(cells.predicted + 1), colors, (nothing, *first))
 
     curves, used = [], plane(cells.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
-        whose = "from its response with dampers" if cells.short else "from one linear run"
-        whose = "from responses with its curves" if vehicle.is_curved else whose
-        whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
-        curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
+        curves.append(Curve(*level(x, y, np.log(used), 0.0), "predicted limit", "#000000", width=1.8))
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
     curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
-    curves += _markers(cells, places, threshold)
+    curves += _markers(cells, places)
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
-    return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel)
+    return _figure(cells, panel)
 
 
-ENCLOSED = "MuJoCo: two runs enclose the height of the end"
+ENCLOSED = "MuJoCo: height enclosed by two runs"
 
 
-def _markers(cells: Cells, places: Array, threshold: float) -> list[Curve]:
+def _markers(cells: Cells, places: Array) -> list[Curve]:
     """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
-    within, kinds = f"{100 * threshold:g} % of a peak", dict[tuple[str, str, Marker], list[int]]()
+    within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, str, Marker], list[int]]()
     for i, one in cells.driven.items():
-        kind: tuple[str, str, Marker] = ("nothing breaks", GREEN, "o")
+        kind: tuple[str, str, Marker] = ("no limit", GREEN, "o")
         if i in cells.others:
-            kind = ("another end than predicted", "#000000", "x")
-        elif one.end and one.error <= threshold:
-            kind = (f"it ends, linear analysis is within {within}", VERMILLION, "+")
+            kind = ("another limit than predicted", "#000000", "x")
+        elif one.end and one.error <= cells.threshold:
+            kind = (f"limit reached, analysis within {within}", VERMILLION, "+")
         elif one.end:
-            kind = (f"it ends, linear analysis is off by more than {within}", VERMILLION, "x")
+            kind = (f"limit reached, analysis not within {within}", VERMILLION, "x")
         kinds.setdefault(kind, []).append(i)
     return [_marks(places[mine], f"MuJoCo: {label}", color, marker) for (label, color, marker), mine in kinds.items()]
 
@@ -204,28 +295,16 @@ def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
     return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
 
 
-def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
-    """Returns the title of a map; `rest` is what is not varied, in words."""
-    which = "analysis with adjustable dampers" if cells.short else "linear analysis"
-    count = f"{len(cells.ends)} end{'s' * (len(cells.ends) > 1)}"
-    edge = f", and at {count}, within {_within(cells)} of the predicted height" if cells.ends else ""
-    ends = (
-        f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
-    )
-    return (
-        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. Colours "
-        f"and lines: predicted. Markers: MuJoCo, in {len(cells.driven)} of {len(cells.bumps)} cells, of which "
-        f"{100 * cells.agreement:.4g} % {ends}{edge}"
-    )
+def _figure(cells: Cells, panel: Panel) -> Figure:
+    which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, {_fixed(cells)}"
+    which += f", under {PLUS.join(load.label for load in cells.loads)}" if cells.loads else ""
+    title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
+    title += f"{len(cells.bumps)} cells, {share(cells.agreement)} as predicted"
+    finding = f"With {as_name(cells.controller.name)}, no limit is reached over {FIRST[0].cell(cells)} of these bumps."
+    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
-def _figure(controller: Controller, cells: Cells, title: str, panel: Panel) -> Figure:
-    holds = float(np.mean(cells.predicted < 0))
-    finding = f"With {as_name(controller.name)} nothing breaks over {percent(holds)} of these bumps."
-    return Figure("envelope", title, (panel,), columns=1, finding=finding)
-
-
-def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
+def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
     x, used = np.array(axis.values), cells.used
     curves = [
@@ -233,12 +312,12 @@ def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: st
         for i, end in enumerate(REGIME_ENDS)
         if np.any(used[:, i] > 0)
     ]
-    curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
+    curves.append(Curve(x[[0, -1]], np.ones(2), "limit", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
         curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
-    curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1), threshold)
-    panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
-    return _figure(controller, cells, title, panel)
+    curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
+    panel = Panel("", LABELS[axis.name], "share of the way to a limit", tuple(curves))
+    return _figure(cells, panel)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:

@@ -1,0 +1,81 @@
+"""Margins of controllers, predicted and found in MuJoCo: the result of which text, JSON and figures are made."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from models.kinds.kind import Variation
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest
+from sim.studies.stability.edge import no_progress
+from sim.studies.stability.fragility import FragilityFound, find_fragility
+from sim.studies.stability.margin_search import LoopMargins, find_all, implemented_searches, loops_of, searches
+from sim.studies.stability.robustness import Robustness, robustness
+from synth.controller.controller import Controller
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMargins:
+    """Margins of one controller.
+
+    Attributes:
+        vehicle: the vehicle as in its file.
+        controller: the controller.
+        loops: margins of the ideal loop, cut at all actuators under "", and at each of several if requested.
+        built: the same of the implemented loop; empty if it has neither sample period nor delay.
+        fragile: the errors that the ideal loop tolerates.
+        box: the controller on other vehicles, or None if nothing varies.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    loops: dict[str, LoopMargins]
+    built: dict[str, LoopMargins]
+    fragile: FragilityFound
+    box: Robustness | None
+
+    @property
+    def wrong(self) -> list[str]:
+        """Returns the names of the margins for which MuJoCo contradicts the prediction."""
+        loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.built.items()]
+        loops += [(name or "the loop", one) for name, one in self.loops.items()]
+        return [name for name, one in loops if not one.agrees] + ["errors"] * (not self.fragile.agrees)
+
+    @property
+    def agrees(self) -> bool:
+        """Returns True if MuJoCo has the predicted margins, and other vehicles are as predicted."""
+        return not self.wrong and (self.box is None or self.box.holds)
+
+
+def stability_margins(
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    timestep: float,
+    progress: Callable[[str], None] = no_progress,
+    variations: Mapping[Variation, tuple[str, ...]] | None = None,
+    each_loop: bool = True,
+) -> list[StabilityMargins]:
+    """Returns the margins of each controller for the vehicle in equilibrium.
+
+    Args:
+        timestep: MuJoCo's timestep [s].
+        progress: callback that receives the name of a stage, or a line on its progress.
+        variations: result of `read_variations`; None for the variations of the vehicle type.
+        each_loop: True to find the margins of each of several actuators, too.
+    """
+    progress("margins")
+    built = at_rest(vehicle)
+    ideal, parts = replace(built, implementation=Implementation()), loops_of(vehicle)
+    parts = parts if each_loop else {"": parts[""]}
+    loops = [{name: searches(ideal, one, cut, timestep) for name, cut in parts.items()} for one in controllers]
+    implemented: list[dict[str, LoopMargins]] = [{} for _ in controllers]
+    if not vehicle.implementation.undelayed:
+        implemented = [
+            {name: implemented_searches(built, one, cut, timestep) for name, cut in parts.items()} for one in controllers
+        ]
+    find_all([margins for each in (*loops, *implemented) for margins in each.values()], progress)
+    progress("fragility")
+    fragile = [find_fragility(ideal, one, timestep, progress) for one in controllers]
+    progress("other vehicles")
+    boxes = robustness(ideal, controllers, timestep, progress, variations)
+    return [StabilityMargins(vehicle, *of) for of in zip(controllers, loops, implemented, fragile, boxes, strict=True)]
