@@ -147,3 +147,8 @@ def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
 def is_shown(block: Block, detail: Detail) -> bool:
     """Returns True if a block is shown at this level of detail."""
     return isinstance(block, Figure) or LEVELS.index(block.detail) <= LEVELS.index(detail)
+
+
+def apart(*blocks: "Statement | Table | Document") -> tuple[Document, ...]:
+    """Returns each block as a document, so that it follows an empty line on a terminal."""
+    return tuple(Document("", (block,), block.detail) for block in blocks)

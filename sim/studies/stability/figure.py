@@ -7,6 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
+from models.document.field import Field
 from models.document.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
@@ -25,6 +26,9 @@ RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
 MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
+FACTOR = Field[float]("factor", float, ".4g")
+TIME = Field[float]("time", float, ".4g", 1e3, unit="ms")
+ERROR = Field[float]("error", float, ".4g", 100.0, unit="%")
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, BLUE, "o", "MuJoCo decays"),
     (True, VERMILLION, "x", "MuJoCo grows"),
@@ -45,46 +49,42 @@ def margins_figure(found: StabilityMargins) -> Figure:
             return math.log(abs(slowest_from_sample_to_sample(*transfer, int(steps)))) / steps / timestep
         return math.log(LoopModel(trial.vehicle, trial.controller, timestep).radius) / timestep
 
-    gain = loop.gain
+    gain, period = loop.gain, loop.sample_period
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
     title = "gain: any; the limit here is that of the sampling" if ended else "gain of all loops together"
-    searches: list[tuple[str, StabilityEdge, float, float, float, str, str]] = [
-        (title, gain.search, gain.sampled[0], gain.search.found, 1.0, "factor on the gain", ""),
-        ("delay from measurement to force", loop.delay, loop.predicted.delay, loop.found_delay, 1e3, "delay [ms]", " ms"),
-        (
-            "sample period of the controller",
-            loop.sample_period,
-            loop.predicted.sample_period,
-            loop.found_sample_period,
-            1e3,
-            "sample period [ms]",
-            " ms",
-        ),
+    found_delay, found_period, predicted = loop.found_delay, loop.found_sample_period, loop.predicted
+    searches: list[tuple[str, str, StabilityEdge, Field[float], float, float]] = [
+        (title, "factor on the gain", gain.search, FACTOR, gain.sampled[0], gain.search.found),
+        ("delay from measurement to force", "delay [ms]", loop.delay, TIME, predicted.delay, found_delay),
+        ("sample period of the controller", "sample period [ms]", period, TIME, predicted.sample_period, found_period),
     ]
     if built is not None:
         of = built.gain
-        searches.insert(0, ("gain of the implemented loop", of.search, of.own, of.found, 1.0, "factor on the gain", ""))
-    lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
-    phases = f" Predicted phase margins: lag {lag:.4g} rad, lead {lead:.4g} rad." if math.isfinite(lead) else ""
-    panels = []
-    for title, search, at, seen, scale, label, unit in searches:
-        numbers = [
-            f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" if value > 0 else "not found" for value in (at, seen)
-        ]
-        title = f"{title}\npredicted: {numbers[0]}; MuJoCo: {numbers[1]}"
-        panels.append(_search_panel(title, label, search, rate, scale))
+        searches.insert(0, ("gain of the implemented loop", "factor on the gain", of.search, FACTOR, of.own, of.found))
+    panels = [
+        _search_panel(f"{title}\n{_both(field, at, seen)}", label, search, rate, field.scale)
+        for title, label, search, field, at, seen in searches
+    ]
     panels.append(_fragile_panel(fragile))
     if found.box is not None:
         panels.append(_box_panel(controller, found.box))
+    lag, lead = predicted.smallest_phase, predicted.lead
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: growth of the slowest mode"
-    title = f"{about}.{phases} Lines: linear analysis. Points: MuJoCo at {1e3 * timestep:g} ms"
-    delay, period = loop.found_delay, loop.found_sample_period
-    limits = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
-    limits.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
+    title = f"{about}. Lines: linear analysis. Points: MuJoCo at {1e3 * timestep:g} ms"
+    limits = [f"{TIME.text(found_delay)} of delay" if math.isfinite(found_delay) else "any delay that is tried"]
+    limits.append(f"a sample period of {TIME.text(found_period)}" if math.isfinite(found_period) else "any sample period")
     if math.isfinite(lead):
-        limits.append(f"a phase {'lead' if lead < lag else 'lag'} of {min(lag, lead):.3g} rad")
+        limits.append(f"a phase {'lead' if lead < lag else 'lag'} of {FACTOR.text(min(lag, lead))} rad")
     finding = f"The loop of {as_name(controller.name)} tolerates {', '.join(limits[:-1])} or {limits[-1]}."
     return Figure("margins", title, tuple(panels), finding=finding)
+
+
+def _both(field: Field[float], predicted: float, found: float) -> str:
+    """Describes a margin, predicted and found."""
+    first, second = (
+        "not found" if math.isnan(one) else "any" if math.isinf(one) else field.text(one) for one in (predicted, found)
+    )
+    return f"predicted: {first}; MuJoCo: {second}"
 
 
 def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[Trial], float], scale: float) -> Panel:
@@ -130,11 +130,8 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a in (search.unstable if grows else search.stable,) if 0 < a <= end])
         curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
-    numbers = [
-        f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
-    ]
-    limit = " (extrapolated)" if fragile.edge.extrapolated else ""
-    title = f"independent errors of {whose(predicted)}\npredicted: {numbers[0]}; MuJoCo: {numbers[1]}{limit}"
+    both = _both(ERROR, stable.smallest_violation, fragile.edge.found) + " (extrapolated)" * fragile.edge.extrapolated
+    title = f"independent errors of {whose(predicted)}\n{both}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 
 
@@ -145,9 +142,11 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
     at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
-    verdict = "agrees at every corner" if box.holds else "DOES NOT AGREE at every corner"
+    verdict = "MuJoCo agrees at every corner" if box.holds else "MuJoCo DOES NOT AGREE at every corner"
     nominal = controller.certificate.norm.value
-    title = f"other vehicles: worst norm {box.norm:.4g} of {box.computed} computed, designed {nominal:.4g}\nMuJoCo {verdict}"
+    title = (
+        f"other vehicles: worst norm {FACTOR.text(box.norm)} of {box.computed}, designed {FACTOR.text(nominal)}\nMuJoCo {verdict}"
+    )
     if len(percent) == 1:
         curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
         heights = np.array([corner.norm for corner in box.corners])

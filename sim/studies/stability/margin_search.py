@@ -181,15 +181,6 @@ def find_margins(
     return margins
 
 
-def find_implemented_margins(
-    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = no_progress
-) -> dict[str, LoopMargins]:
-    """Returns the margins of gain, phase and disk of the loop with its sample period and delay; see `find_margins`."""
-    loops = {name: implemented_searches(vehicle, controller, some, timestep) for name, some in loops_of(vehicle).items()}
-    find_all(list(loops.values()), progress)
-    return loops
-
-
 def loops_of(vehicle: Vehicle) -> dict[str, list[int]]:
     """Returns the actuators of all loops together, under "", and of each loop of several, by its force."""
     names = vehicle.linear_model.inputs

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from models.common.printed import WIDTH, as_name, finite
-from models.document.document import NOTE, Block, Document, Statement, Table, notes
+from models.document.document import NOTE, Document, Statement, Table, apart, notes
 from models.document.field import Field
 from models.document.reading import Pivot
 from models.document.text import HANG
@@ -15,7 +15,7 @@ from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
-from sim.studies.stability.robustness import ParameterVertex, varied_text
+from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
@@ -29,19 +29,8 @@ def number(value: float) -> str:
 
 
 class Row(NamedTuple):
-    """A margin in a table.
+    """A margin in a table; `extra` ones are not in comparisons of controllers."""
 
-    Attributes:
-        controller: name of the controller.
-        margin: name of the margin with its unit.
-        predicted: predicted value in that unit.
-        found: value in MuJoCo.
-        note: remark on it.
-        extrapolated: True if the value in MuJoCo is the limit of two margins.
-        extra: True if comparisons of controllers omit it.
-    """
-
-    controller: str
     margin: str
     predicted: float
     found: float = math.nan
@@ -54,19 +43,18 @@ MARGIN = Field[Row]("margin", lambda row: row.margin)
 PREDICTED = Field[Row]("predicted", lambda row: row.predicted, number)
 FOUND = Field[Row]("MuJoCo", lambda row: row.found, number)
 MARGINS = (MARGIN, PREDICTED, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
-COMPARED = (
-    Field[Row]("controller", lambda row: row.controller),
-    MARGIN,
-    PREDICTED,
-    Field[Row]("MuJoCo", lambda row: FOUND.cell(row) + " (extrapolated)" * row.extrapolated),
-)
-Loop = tuple[str, LoopMargins]
-LOOPS: tuple[Field[Loop], ...] = (
+LOOPS: tuple[Field[tuple[str, LoopMargins]], ...] = (
     Field("loop, the others closed", lambda of: of[0]),
     Field("gain", lambda of: of[1].predicted.gain, number),
     Field("in MuJoCo", lambda of: of[1].gain.found, number),
     Field("delay", lambda of: of[1].predicted.delay, number, 1e3, unit="ms"),
     Field("in MuJoCo", lambda of: of[1].found_delay, number, 1e3, unit="ms"),
+)
+COMPARED: tuple[Field[tuple[str, Row]], ...] = (
+    Field("controller", lambda of: of[0]),
+    MARGIN.of(lambda of: of[1]),
+    PREDICTED.of(lambda of: of[1]),
+    Field("MuJoCo", lambda of: FOUND.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
 )
 FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")
 FACTOR = Field[float]("factor", float, ".3g")
@@ -97,70 +85,54 @@ def margins_object(found: StabilityMargins) -> dict[str, Any]:
     controller, fragile, box = found.controller, found.fragile, found.box
     objects = {name: _loop_object(one) for name, one in found.loops.items()}
     for name, one in found.built.items():
-        ideal = {key: objects[name][key] for key in IMPLEMENTED}
-        objects[name] |= {key: value for key, value in _loop_object(one).items() if key in IMPLEMENTED} | {"ideal": ideal}
-    whole = objects.pop("")
-    result = {"controller": controller.name, **whole, "loops": objects}
+        implemented, ideal = ({key: of[key] for key in IMPLEMENTED} for of in (_loop_object(one), objects[name]))
+        objects[name] |= implemented | {"ideal": ideal}
+    edge = {"mujoco": finite(fragile.edge.found), **_sampled_object(fragile.edge, fragile.timestep)}
+    edge |= {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
     names = controller.measured, found.vehicle.linear_model.inputs
-    edge = {
-        "mujoco": finite(fragile.edge.found),
-        "extrapolated": fragile.edge.extrapolated,
-        "sampled": _sampled_object(fragile.edge, fragile.timestep),
+    return {
+        "controller": controller.name,
+        **objects.pop(""),
+        "loops": objects,
+        "fragility": fragility_object(fragile.predicted, fragile.rounding, *names) | edge,
+        "robustness": box and _box_object(box),
+        "loop": " ".join(loop_texts(found.vehicle)) or None,
     }
-    weighted = {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
-    result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge | weighted
-    result["robustness"] = box and {
-        "varied": {one.name: [one.smallest, one.largest] for one in box.varied},
-        "computed": box.computed,
-        "worst_norm": finite(box.norm),
-        "at": box.at,
-        "corners": [
-            {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
-            for corner in box.corners
-        ],
-    }
-    return result | {"loop": " ".join(loop_texts(found.vehicle)) or None}
+
+
+def _box_object(box: Robustness) -> dict[str, Any]:
+    corners = [
+        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
+        for corner in box.corners
+    ]
+    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
+    return {"varied": varied, "computed": box.computed, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
 
 
 def _loop_object(one: LoopMargins) -> dict[str, Any]:
-    predicted = one.predicted
-    gain = {
-        "predicted": finite(predicted.gain),
-        "found": finite(one.gain.found),
-        "lower": {"predicted": predicted.gain_lower or None, "found": finite(one.found_gain_lower) or None},
-        "extrapolated": one.gain.extrapolated,
-        "sampled": _sampled_object(one.gain, one.timestep),
-    }
-    phase = {  # lag: what a delay makes
-        "predicted": finite(predicted.phase),
-        "found": finite(one.found_phase),
-        "frequency": finite(predicted.frequency),
-        "smallest_lag": finite(predicted.smallest_phase),
-        "lead": {"predicted": finite(predicted.lead), "frequency": finite(predicted.lead_frequency)},
-        "smallest": finite(min(predicted.smallest_phase, predicted.lead)),
-    }
-    disk = predicted.disk
+    of, disk = one.predicted, one.predicted.disk
+    lower = {"predicted": of.gain_lower or None, "found": finite(one.found_gain_lower) or None}
+    lead = {"predicted": finite(of.lead), "frequency": finite(of.lead_frequency)}
+    lag = {"frequency": finite(of.frequency), "smallest_lag": finite(of.smallest_phase)}
+    at = {"phase": disk.phase, "frequency": finite(disk.frequency)}
     return {
-        "gain": gain,
-        "phase": phase,
-        "disk": {
-            "margin": disk.size,
-            "gain": [disk.gain[0], finite(disk.gain[1])],
-            "phase": disk.phase,
-            "frequency": finite(disk.frequency),
-        },
-        "delay": {"predicted": finite(predicted.delay), "found": finite(one.found_delay)},
-        "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
+        "gain": _pair(of.gain, one.gain.found) | {"lower": lower} | _sampled_object(one.gain, one.timestep),
+        "phase": _pair(of.phase, one.found_phase) | lag | {"lead": lead, "smallest": finite(min(of.smallest_phase, of.lead))},
+        "disk": {"margin": disk.size, "gain": [disk.gain[0], finite(disk.gain[1])], **at},
+        "delay": _pair(of.delay, one.found_delay),
+        "sample_period": _pair(of.sample_period, one.found_sample_period),
     }
 
 
-def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]:
+def _pair(predicted: float, found: float) -> dict[str, Any]:
+    return {"predicted": finite(predicted), "found": finite(found)}
+
+
+def _sampled_object(margin: GainMargin, timestep: float) -> dict[str, Any]:
     """Returns the margin of the sampled loop at each timestep that physics ran with."""
-    return [
-        {"timestep": timestep / k, "predicted": finite(at), "found": finite(search.found)}
-        for k, at, search in zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
-        if search.searched
-    ]
+    tried = zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
+    sampled = [{"timestep": timestep / k, **_pair(at, search.found)} for k, at, search in tried if search.searched]
+    return {"extrapolated": margin.extrapolated, "sampled": sampled}
 
 
 def describe(found: StabilityMargins) -> Document:
@@ -169,23 +141,21 @@ def describe(found: StabilityMargins) -> Document:
     loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
     loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
-    if _fixed(found) is not None:
-        texts.append("The law is discrete; all margins are those of the continuous law of which it is the Tustin transform.")
-    if controller.preview is not None:
-        texts.append("The margins are those of the feedback; preview does not change them.")
-    blocks: list[Block] = [Document("", notes(" ".join(texts)))] if texts else []
-    blocks.append(Document("", (Table.of("margins", "Margins.", MARGINS, _rows(found)),)))
-    blocks += [Document("", (Table.of("loops", "Margins of each loop.", LOOPS, loops),))] if loops else []
+    if _fixed(found):
+        texts.append("The law is discrete; the margins are those of the continuous law with the same Tustin transform.")
+    texts += ["The margins are those of the feedback; preview does not change them."] * (controller.preview is not None)
+    blocks: list[Table | Document] = [Table.of("margins", "Margins.", MARGINS, _rows(found))]
+    blocks += [Table.of("loops", "Margins of each loop.", LOOPS, loops)] if loops else []
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
-    details = [f"the worst errors: {_worst_errors(found)}"] if fragile.edge.own < math.inf else []
+    details = [f"the worst errors are {_worst_errors(found)}"] * (len(_worst_errors(found)) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
-    errors = [*notes(_sentence(short)), *notes(*map(_sentence, filter(None, details)), detail="full")]
-    errors += notes(*(promise.text for promise in controller.robustness))
-    blocks += [Document("", tuple(errors)), Document("", tuple(_box_blocks(found)))]
-    return Document("", (*blocks, Document("", (verdict(found),))))
+    first, *others = (f"{text[0].upper()}{text[1:]}." for text in (short, *details) if text)
+    promises = notes(*(promise.text for promise in controller.robustness))
+    blocks += [Document("", (*notes(first), *notes(*others, detail="full"), *promises)), _box_document(found)]
+    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, verdict(found)))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
@@ -200,7 +170,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
-    rows = [row for one in found for row in _rows(one) if not row.extra]
+    rows = [(one.controller.name, row) for one in found for row in _rows(one) if not row.extra]
     caption = "Largest change of each quantity before the loop is unstable: predicted, and found in MuJoCo."
     pivot = Pivot(("margin",), "controller", ("predicted", "MuJoCo"))
     tables = (
@@ -251,61 +221,55 @@ def _fixed(found: StabilityMargins) -> float | None:
 
 def _rows(found: StabilityMargins) -> list[Row]:
     """Returns the margins of all actuators together: of the implemented loop, of the ideal loop, and for errors."""
-    built, fragile = found.built.get(""), found.fragile
-    rows = [*_loop_rows(found, built), *_loop_rows(found, found.loops[""], ", ideal loop")] if built else []
-    edge, name = fragile.edge, found.controller.name
-    worst = _worst_errors(found) if math.isfinite(edge.own) else "none up to 100 % found"
-    note = _noted(edge, worst if len(worst) <= WIDTH - HANG else "")
-    return [
-        *(rows or _loop_rows(found, found.loops[""])),
-        Row(name, "error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated),
-        *_sampled_rows(name, edge, fragile.timestep, scale=100.0),
-    ]
+    edge, ideal = found.fragile.edge, ", ideal loop" * bool(found.built)
+    rows = _loop_rows(found, found.built[""]) if found.built else []
+    worst = _worst_errors(found)
+    note = _noted(edge, worst * (len(worst) <= WIDTH - HANG))
+    rows += _loop_rows(found, found.loops[""], ideal)
+    rows.append(Row("error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated))
+    return [*rows, *_sampled_rows(edge, found.fragile.timestep, scale=100.0)]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
     """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
-    predicted, h, name = one.predicted, one.timestep, found.controller.name
+    predicted, h, gain = one.predicted, one.timestep, one.gain
     lower = predicted.gain_lower or one.found_gain_lower
-    note = _noted(one.gain, "" if lower else "stable down to 0")
-    rows = [Row(name, f"gain{of}, factor", predicted.gain, one.gain.found, note, one.gain.extrapolated)]
-    rows += _sampled_rows(name, one.gain, h)
+    note = _noted(gain, "" if lower else "stable down to 0")
+    rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain, h)]
     if lower:
         seen = one.found_gain_lower, _noted(one.gain_lower), one.gain_lower.extrapolated
-        rows += [Row(name, f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True)]
-        rows += _sampled_rows(name, one.gain_lower, h, -1)
-    at = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
-    rows.append(Row(name, f"phase lag{of} [rad]", predicted.phase, one.found_phase, at))
-    if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
+        rows += [Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True), *_sampled_rows(one.gain_lower, h, -1)]
+    note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
+    rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note))
+    if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
         note = "at another crossover than that of the delay"
-        rows.append(Row(name, f"smallest phase lag{of} [rad]", predicted.smallest_phase, note=note, extra=True))
-    at = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else ""
-    rows.append(Row(name, f"phase lead{of} [rad]", predicted.lead, note=at))
+        rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True))
+    note = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else ""
+    rows.append(Row(f"phase lead{of} [rad]", predicted.lead, note=note))
     low, high = predicted.disk.gain
     factors = f"{FACTOR.text(low)} to {FACTOR.text(high)}" if math.isfinite(high) else "any"
     note = f"gain {factors}, or {PHASE.text(predicted.disk.phase)}"
-    rows.append(Row(name, f"disk margin{of}", predicted.disk.size, note=note))
+    rows.append(Row(f"disk margin{of}", predicted.disk.size, note=note))
     total = one.sample_period.searched
-    if one.delay.searched:
-        samples = ""
-        if math.isfinite(one.delay.unstable) and one.delay.decided:
-            samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
-        note = _noted_time(one.delay, one.found_delay, samples)
+    if (delay := one.delay).searched:
+        samples = (
+            f"{round(delay.stable / h)} samples decay, {round(delay.unstable / h)} grow" if math.isfinite(delay.unstable) else ""
+        )
+        note = _noted_time(delay, one.found_delay, samples * delay.decided)
         times = 1e3 * one.predicted_delay, 1e3 * one.found_delay
-        rows.append(Row(name, "delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
+        rows.append(Row("delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
     if total:
-        fixed = _fixed(found)
-        own = ["" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms", "all forces sampled" * predicted.all_sampled]
-        note = _noted_time(one.sample_period, one.found_sample_period, *own)
-        rows.append(Row(name, "sample period [ms]", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, note))
+        fixed = f"fixed by the law: {1e3 * (_fixed(found) or 0):g} ms" if _fixed(found) else ""
+        note = _noted_time(one.sample_period, one.found_sample_period, fixed, "all forces sampled" * predicted.all_sampled)
+        rows.append(Row("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, note))
     return rows
 
 
-def _sampled_rows(name: str, gain: GainMargin, h: float, power: int = 1, scale: float = 1.0) -> list[Row]:
+def _sampled_rows(gain: GainMargin, h: float, power: int = 1, scale: float = 1.0) -> list[Row]:
     """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
-        Row(name, f"  sampled every {1e3 * step:g} ms", scale * at**power, scale * search.found**power, extra=True)
+        Row(f"  sampled every {1e3 * step:g} ms", scale * at**power, scale * search.found**power, extra=True)
         for step, at, search in searches
         if gain.finer.searched
     ]
@@ -328,11 +292,9 @@ def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
 
 def _worst_errors(found: StabilityMargins) -> str:
     """Returns the smallest errors that make the loop unstable."""
+    if math.isinf(found.fragile.edge.own):
+        return "none up to 100 % found"
     return errors_text(found.fragile.predicted.stable, found.controller.measured, found.vehicle.linear_model.inputs)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
 
 
 def _values(parameters: dict[str, float]) -> str:
@@ -340,17 +302,15 @@ def _values(parameters: dict[str, float]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {VALUE.text(value)}" for name, value in parameters.items())
 
 
-def _box_blocks(found: StabilityMargins) -> list[Block]:
+def _box_document(found: StabilityMargins) -> Document:
     """Returns what other vehicles make of the norm."""
-    box = found.box
-    if box is None:
-        return [*notes(f"Other vehicles: {varied_text(found.vehicle.kind)}.")]
+    if (box := found.box) is None:
+        return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
     text = f"Other vehicles ({box.text}): the worst norm of {box.computed} is {worst}; nothing is proved between them."
     factors = [
         Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
         for i, one in enumerate(box.varied)
     ]
-    detail = "full" if box.holds else "normal"
-    corners = Document("", (Table.of("corners", "", (*factors, *CORNER), box.corners),), detail)
-    return [*notes(text), *notes(f"The worst norm is at {_values(box.at)}.", detail="full"), corners]
+    corners = Table.of("corners", "", (*factors, *CORNER), box.corners, detail="full" if box.holds else "normal")
+    return Document("", (*notes(text), *notes(f"The worst norm is at {_values(box.at)}.", detail="full"), *apart(corners)))

@@ -70,9 +70,8 @@ def edge_document(cells: Cells) -> Document:
     fields[:0] = [Field(other, lambda edge: edge[other], ".4g", unit=UNITS[other])] if other else []
     fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
     texts = [f"{len(every) - len(shown)} more are in --json."] if len(every) > len(shown) else []
-    rest = " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in cells.fixed.items())
     table = Table.of("edges", "First limit along the map.", fields, shown)
-    return Document(f"First limit along the {along}, with {rest}", (table, *notes(*texts, *travel_texts(cells))))
+    return Document(f"First limit along the {along}, with {cells.fixed_text}", (table, *notes(*texts, *travel_texts(cells))))
 
 
 def _begins(edge: Mapping[str, Any]) -> float | None:

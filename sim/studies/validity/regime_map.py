@@ -78,10 +78,11 @@ class Cells:
         return tuple(sorted(axes, key=lambda axis: getattr(first, axis.name) != getattr(second, axis.name)))
 
     @property
-    def fixed(self) -> dict[str, float]:
-        """Returns the quantities that are the same for all bumps."""
+    def fixed_text(self) -> str:
+        """Describes the quantities that are the same for all bumps."""
         varied = [axis.name for axis in self.axes]
-        return {name: getattr(self.bumps[0], name) for name in UNITS if name not in varied}
+        fixed = {name: getattr(self.bumps[0], name) for name in UNITS if name not in varied}
+        return " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in fixed.items())
 
     def end_of(self, i: int) -> str:
         """Returns the name of the predicted first end of a cell; empty without an end."""

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
-from models.document.document import Document, Statement, Table, notes
+from models.document.document import Document, Statement, Table, apart, notes
 from models.document.field import Field, at_most
 from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
@@ -62,16 +62,14 @@ ENDS: tuple[Field[OneEnd], ...] = (
 
 def write_csv(path: Path, cells: Cells) -> None:
     """Writes a row per cell, in SI units; events that never happen, and results of MuJoCo where it was not run, are empty."""
-    names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
+    rows, shares = _cells(cells), [f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}" for end in END_NAMES]
+    last = [key for key in ("missing_force", "simulated") if key in rows[0]]
+    first = [key for key in rows[0] if key not in last]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
-        dampers = ("missing_force",) if _has_dampers(cells) else ()
-        shares = (f"linear_share_of_{name}" for name in names)
-        writer.writerow([*UNITS, *columns, *shares, *dampers, "simulated", "map_complete"])
-        for row, used in zip(_cells(cells), cells.used.tolist(), strict=True):
-            of_cell = [*(row[name] for name in (*UNITS, *columns)), *used]
-            writer.writerow([*of_cell, *(row[name] for name in dampers), row["simulated"], True])
+        writer.writerow([*first, *shares, *last, "map_complete"])
+        for row, used in zip(rows, cells.used.tolist(), strict=True):
+            writer.writerow([*(row[key] for key in first), *used, *(row[key] for key in last), True])
 
 
 def envelope_object(cells: Cells) -> dict[str, Any]:
@@ -90,24 +88,22 @@ def envelope_object(cells: Cells) -> dict[str, Any]:
 
 
 def _cells(cells: Cells) -> list[dict[str, Any]]:
-    """Returns a JSON object for each cell."""
-    rows = []
+    """Returns a JSON object for each cell; the share of missing force only for a vehicle with adjustable dampers."""
+    rows, dampers = [], any(math.isfinite(one.missing) for one in cells.driven.values())
     for i, bump in enumerate(cells.bumps):
-        row: dict[str, Any] = {name: getattr(bump, name) for name in UNITS}
-        row |= dict.fromkeys(("error", "holds", "broke_first", "at"))
-        row |= {"predicted": cells.end_of(i) or None, "predicted_at": finite(cells.predicted_time[i]), "agrees": None}
-        row |= {"simulated": i in cells.driven} | ({"missing_force": None} if _has_dampers(cells) else {})
-        if (one := cells.driven.get(i)) is not None:
-            row |= {"error": finite(one.error), "holds": one.error <= cells.threshold, "at": finite(one.time)}
-            row |= {"broke_first": END_NAMES[one.first] if one.first >= 0 else None, "agrees": i not in cells.others}
-            row |= {"missing_force": one.missing} if _has_dampers(cells) else {}
-        rows.append(row)
+        one = cells.driven.get(i)
+        row = {name: getattr(bump, name) for name in UNITS} | {
+            "error": one and finite(one.error),
+            "holds": one and one.error <= cells.threshold,
+            "broke_first": END_NAMES[one.first] if one and one.first >= 0 else None,
+            "at": one and finite(one.time),
+            "predicted": cells.end_of(i) or None,
+            "predicted_at": finite(cells.predicted_time[i]),
+            "agrees": one and i not in cells.others,
+            "simulated": one is not None,
+        }
+        rows.append(row | ({"missing_force": one and one.missing} if dampers else {}))
     return rows
-
-
-def _has_dampers(cells: Cells) -> bool:
-    """Returns True if the vehicle has adjustable dampers."""
-    return any(math.isfinite(one.missing) for one in cells.driven.values())
 
 
 def describe(cells: Cells) -> Document:
@@ -125,9 +121,8 @@ def describe(cells: Cells) -> Document:
         texts.append(f"In {share(away)} of them, the states of the law overflow, and it requests no finite force.")
     if cells.short:
         texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map is of the analysis with the dampers.")
-    first = _loop_texts(cells)
-    parts = (edge_document(cells), Document("", (table, *notes(*texts))), Document("", (verdict(cells),)))
-    return Document("", (*([Document("", notes(*first))] if first else []), *parts))
+    parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
+    return Document("", apart(*parts, verdict(cells)))
 
 
 def _loop_texts(cells: Cells) -> list[str]:
@@ -153,7 +148,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     """
     size = " by ".join(f"{len(axis.values)} {axis.name}s" for axis in maps[0].axes)
     text = (
-        f"Bumps of {_fixed(maps[0])}, {size}. Colours show the first limit that one linear response per speed predicts. "
+        f"Bumps with {maps[0].fixed_text}, {size}. Colours show the first limit that one linear response per speed predicts. "
         f"MuJoCo runs cells all over the map, and two bumps at every edge, at {1e3 * timestep:g} ms{without}.",
         f"Linear analysis holds in a run if it is within {THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
@@ -229,11 +224,6 @@ def _within(cells: Cells) -> str:
     return percent(math.ceil(1e3 * cells.furthest - 1e-6) / 1e3) if math.isfinite(cells.furthest) else "no height"
 
 
-def _fixed(cells: Cells) -> str:
-    """Describes what is the same for all bumps."""
-    return " and ".join(f"{value:g} {UNITS[name]} {name}" for name, value in cells.fixed.items())
-
-
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING = "#dcefdc"
 
@@ -296,7 +286,7 @@ def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
 
 
 def _figure(cells: Cells, panel: Panel) -> Figure:
-    which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, {_fixed(cells)}"
+    which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, with {cells.fixed_text}"
     which += f", under {PLUS.join(load.label for load in cells.loads)}" if cells.loads else ""
     title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
     title += f"{len(cells.bumps)} cells, {share(cells.agreement)} as predicted"
