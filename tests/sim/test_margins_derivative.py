@@ -18,7 +18,7 @@ from sim.margins import main
 from sim.physics.step_derivative import step_derivative
 from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
-from sim.studies.stability.margin_search import find_implemented_margins, implemented_searches
+from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.controller.stability_margins import sampled_margins
 from synth.vehicle.designer import certify_given
@@ -127,7 +127,9 @@ def test_sampled_margins_are_those_of_python_control():
 def test_loops_of_several_forces_as_built():
     """Each loop of a half-car as implemented has its own gain margin, at least that of both; the delay is that of both."""
     vehicle = dataclasses.replace(read_vehicle("half_car"), implementation=Implementation(sample_period=0.01, delay=1.5))
-    margins = find_implemented_margins(vehicle, designed(vehicle, "I"), 1e-3)
+    controller = designed(vehicle, "I")
+    margins = {name: implemented_searches(vehicle, controller, cut, 1e-3) for name, cut in loops_of(vehicle).items()}
+    find_all([*margins.values()])
     assert all(one.agrees for one in margins.values())
     assert min(one.predicted.gain for one in margins.values()) == margins[""].predicted.gain
     assert margins[""].found_delay == margins[""].predicted_delay

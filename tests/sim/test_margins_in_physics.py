@@ -7,14 +7,17 @@ import math
 import numpy as np
 import pytest
 
+from models.document.field import cells
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import Limits
-from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.margins import main
 from sim.studies.stability.edge import StabilityEdge, search_and_run, smallest_unstable
 from sim.studies.stability.fragility import find_fragility, with_errors
-from sim.studies.stability.margin_search import GainMargin, find_margins, searches
-from sim.studies.stability.report import _loop_lines, _loop_object
+from sim.studies.stability.margin_search import GainMargin, LoopMargins, find_margins, searches
+from sim.studies.stability.report import MARGINS, _loop_object, _loop_rows
+from sim.studies.stability.study import StabilityMargins
+from synth.controller.controller import Controller
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import (
     gain_crossings,
@@ -73,6 +76,12 @@ def test_margins_in_physics(capsys, tmp_path, timestep):
     assert set(box["at"]) == {"sprung_mass", "tyre_stiffness"}
 
 
+def told_of(vehicle: Vehicle, controller: Controller, one: LoopMargins) -> dict[str, str]:
+    """Returns the rows of a loop's table by the name of the margin."""
+    found = StabilityMargins(vehicle, controller, {"": one}, {}, None, None)  # type: ignore[arg-type]
+    return {name: " ".join(rest) for name, *rest in cells(MARGINS, _loop_rows(found, one))}
+
+
 def test_one_force_sampled_in_physics():
     """A lagging law's rear force alone bears a sample period of 85.4 ms, by 2.6 ms more than both do; so it is in MuJoCo."""
     vehicle = read_vehicle("half_car")
@@ -84,7 +93,7 @@ def test_one_force_sampled_in_physics():
     assert one.predicted.sample_period == pytest.approx(0.0854, abs=1e-4)
     assert 0 <= one.predicted.sample_period - one.found_sample_period < 2e-3  # a timestep
     whole = dataclasses.replace(one, predicted=dataclasses.replace(one.predicted, all_sampled=True))
-    told = ["all forces sampled" in "\n".join(_loop_lines("the loop", each, None)) for each in (one, whole)]
+    told = ["all forces sampled" in told_of(vehicle, lagging, each)["sample period [ms]"] for each in (one, whole)]
     assert told == [False, True]
 
 
@@ -137,7 +146,7 @@ def test_a_delay_that_takes_hours_is_not_run(paper):
     assert one.delay.stable == pytest.approx(2.0)
     assert one.agrees
     assert math.isnan(one.found_phase)
-    assert "none up to 2 s; longer ones than 8 s are not run" in "\n".join(_loop_lines("the loop", one, None))
+    assert "stable up to 2 s; above 8 s only predicted" in told_of(vehicle, controller, one)["delay [ms]"]
 
 
 def test_an_integrator_almost_without_readings_does_not_grow():
@@ -196,7 +205,7 @@ def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
     gain = GainMargin(one.predicted.gain, (coarse.found, fine.found), coarse, fine)
     lower = dataclasses.replace(one.gain_lower, search=search_that_found(math.inf))
     one = dataclasses.replace(one, gain=gain, gain_lower=lower)
-    (row,) = (line for line in _loop_lines("the loop", one, None) if line.startswith("  gain, factor"))
+    row = told_of(paper, designer.design("I"), one)["gain, factor"]
     assert gain.found == pytest.approx(one.predicted.gain, rel=1e-6)
     assert ("extrapolated" in row) == _loop_object(one)["gain"]["extrapolated"] == step
 

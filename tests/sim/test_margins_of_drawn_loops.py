@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.physics.simulate import simulate
 from sim.studies.stability.fragility import find_fragility
-from sim.studies.stability.margin_search import find_implemented_margins, find_margins
+from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of, searches
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import certify_given, design
 from tests.support.commands import attacks
@@ -88,7 +88,9 @@ def sides(edge):
 def test_drawn_loops_agree_and_every_edge_is_one(seed):
     """No margin of a drawn loop disagrees. After a bump, runs of ten time constants decay below each edge and grow above it."""
     vehicle, ideal, controller = drawn_loop(seed)
-    margins = [find_margins(ideal, controller, TIMESTEP)[""], find_implemented_margins(vehicle, controller, TIMESTEP)[""]]
+    cut = loops_of(vehicle)[""]
+    margins = [searches(ideal, controller, cut, TIMESTEP), implemented_searches(vehicle, controller, cut, TIMESTEP)]
+    find_all(margins)
     fragile = find_fragility(ideal, controller, TIMESTEP)
     assert all(one.agrees for one in margins)
     assert fragile.agrees

@@ -2,27 +2,26 @@
 
 import dataclasses
 import json
-import pkgutil
 import re
 
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.printed import LINES
 from models.document.figure import Curve
 from models.kinds.kind import Variation
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
-from sim.margins import _which_loop, main
+from sim.margins import main
 from sim.studies.stability.figure import margins_figure
-from sim.studies.stability.fragility import find_fragility
-from sim.studies.stability.margin_search import find_margins
+from sim.studies.stability.report import loop_texts, number
 from sim.studies.stability.robustness import _worst, read_variations, robustness, varied_text
+from sim.studies.stability.study import stability_margins
 from synth.analysis.norm import by_level_sets, hinf_norm
 from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import design
 from tests.support import pages
-from tests.support.commands import once
 
 
 def test_a_worst_norm_between_the_points_of_its_grid_is_found():
@@ -105,14 +104,6 @@ def hopper(tmp_path, request):
     return tmp_path / "own.toml"
 
 
-@pytest.fixture
-def of_one_search(monkeypatch):
-    """Words and `--json` are of one search."""
-    for module, name in (("margin_search", "find_margins"), ("fragility", "find_fragility"), ("robustness", "robustness")):
-        path = f"sim.studies.stability.{module}.{name}"
-        monkeypatch.setattr(path, once(pkgutil.resolve_name(path)))
-
-
 @pytest.mark.attack
 @pytest.mark.parametrize("hopper", [("", "")], indirect=True)
 def test_a_kind_that_varies_nothing_says_so(hopper):
@@ -143,52 +134,28 @@ def test_the_kind_says_what_varies(hopper, monkeypatch):
         assert corner.norm == pytest.approx(hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value)
         assert corner.norm <= box.norm
     assert box.holds
-    fragile, found = find_fragility(vehicle, controller, 4e-3), find_margins(vehicle, controller, 4e-3)[""]
-    panel = margins_figure(vehicle, controller, found, None, fragile, box).panels[-1]
+    (found,) = stability_margins(vehicle, [controller], 4e-3)
+    panel = margins_figure(found).panels[-1]
     assert (panel.xlabel, panel.ylabel) == ("weight [% off]", "tyre rate [% off]")
     drawn = [curve.x for curve in panel.curves if isinstance(curve, Curve) and curve.marker in "ox" and curve.marker]
     assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
 
 
-def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
-    """Every number of the table with -v is that of --json, in the table's units; without, a terminal shows all."""
+def test_a_terminal_shows_all_margins(capsys):
+    """Every margin is on a terminal without -v, in the table's units and with its digits; with -v, every varied vehicle, too."""
     asked = ["--controller", "I", "--timestep", "4e-3"]
-
-    def words(*how: str) -> str:
-        assert main([*asked, *how]) == 0
-        return capsys.readouterr().out
-
-    brief, printed, text = words(), words("-v"), words("--json")
-    result, said = json.loads(text), " ".join(printed.split())
-    assert brief.count("\n") <= 24  # what a terminal shows
-    rows = [
-        (label, [scale * result[key][of] for of in ("predicted", "found")])
-        for label, key, scale in (
-            ("gain, factor", "gain", 1),
-            ("phase lag, rad", "phase", 1),
-            ("delay, ms", "delay", 1e3),
-            ("sample period, ms", "sample_period", 1e3),
-        )
-    ]
-    fragile, stable = result["fragility"], result["fragility"]["stable"]
-    rows.append(("of readings(?: and forces)?", [100 * stable["found"], 100 * fragile["mujoco"]]))
-    for label, numbers in rows:
-        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", printed, re.M)
-        assert [float(word) for word in line] == pytest.approx(numbers, rel=1e-5)
-    assert result["phase"]["smallest"] == result["phase"]["lead"]["predicted"] < result["phase"]["predicted"]
-    for label, value in (("phase lead, rad", result["phase"]["lead"]["predicted"]), ("disk margin", result["disk"]["margin"])):
-        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", brief, re.M)
-        assert (float(line[0]), line[1]) == (pytest.approx(value, rel=1e-5), "-")  # predicted alone
-    named = re.findall(r"(\w+) ([+-][\d.]+) %[,\s]", said[said.index("bears errors up to, %") : said.index("stable with each")])
-    assert {name: float(error) for name, error in named} == pytest.approx(
-        {name: 100 * error for name, error in stable["readings"].items()}, rel=1e-3
-    )
-    assert f"of {result['robustness']['computed']} vehicles computed, not proved between" in " ".join(brief.split())
-    ranges = re.findall(r"([\w ]+?) (-\d+) to \+(\d+) %", printed)
-    varied = {name.strip(): [1 + float(low) / 100, 1 + float(high) / 100] for name, low, high in ranges}
-    assert varied == result["robustness"]["varied"] == {"sprung mass": [0.7, 1.4], "tyre stiffness": [0.75, 1.25]}
-    masses = {corner["sprung_mass"] / paper.parameters["sprung_mass"] for corner in result["robustness"]["corners"]}
-    assert sorted(masses) == pytest.approx(varied["sprung mass"])
+    assert main([*asked, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert main(asked) == 0
+    brief = capsys.readouterr().out
+    assert brief.count("\n") <= LINES
+    for label, key, scale in (("gain, factor", "gain", 1), ("phase lag [rad]", "phase", 1), ("delay [ms]", "delay", 1e3)):
+        (line,) = (line for line in brief.splitlines() if line.startswith(label))
+        assert line.removeprefix(label).split()[:2] == [number(scale * result[key][of]) for of in ("predicted", "found")]
+    assert main([*asked, "-v"]) == 0
+    corners = re.findall(r"^([+-]\d+) +([+-]\d+) +(\S+) +decays +agrees$", capsys.readouterr().out, re.M)
+    assert [norm for *_, norm in corners] == [f"{one['norm']:.5g}" for one in result["robustness"]["corners"]]
+    assert [of for *of, _ in corners] == [[mass, tyre] for mass in ("-30", "+40") for tyre in ("-25", "+25")]
 
 
 @pytest.mark.parametrize(
@@ -209,11 +176,10 @@ def test_loops_without_margins(tmp_path, paper, gain, damping, word):
 
 
 def test_which_loop_is_said(paper):
-    """The sections of a vehicle file beyond parameters are in the margins or left out of them; it is said which."""
-    plain = _which_loop(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
-    assert plain == "the loop has no actuator lag; norms of other vehicles are of the ideal loop"
+    """The output says which sections of a vehicle file the margins include."""
+    plain = loop_texts(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
+    assert plain == ["The loop has no actuator lag.", "Norms are those of the ideal loop."]
     built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))
-    assert "has the lag of its actuators; delay and sample period below are totals" in _which_loop(built)
-    assert "left out" not in _which_loop(built)
+    assert "includes the lag of its actuators. Delay and sample period are totals" in " ".join(loop_texts(built))
     blurred = dataclasses.replace(built, implementation=Implementation(noise={"sprung_velocity": 0.01}))
-    assert "noise is left out;" in _which_loop(blurred)
+    assert [("not include noise" in " ".join(loop_texts(one))) for one in (built, blurred)] == [False, True]

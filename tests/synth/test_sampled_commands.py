@@ -245,11 +245,11 @@ def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held
     held.write_text(held.read_text().replace("sample_period = 0.05", "sample_period = 0.01"))
     found = []
 
-    def begun(vehicle, controller, *_):
-        found.append(controller)
+    def begun(vehicle, controllers, *_):
+        found.extend(controllers)
         raise InputError("far enough")
 
-    monkeypatch.setattr("sim.studies.stability.margin_search.find_margins", begun)
+    monkeypatch.setattr("sim.studies.stability.study.stability_margins", begun)
     with pytest.raises(InputError, match="far enough"):
         margins(["--vehicle", str(held), "--controller", "I"])
     (controller,) = found

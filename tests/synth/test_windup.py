@@ -18,7 +18,7 @@ from sim.runs.report import controller_lines, controller_object, events, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.run_metrics import measure_run, metric_lines
 from sim.studies.validity.regime_map import validity
-from sim.studies.validity.report import envelope_lines
+from sim.studies.validity.report import describe
 from synth import design_controllers as design
 from synth.command.table import Row, detail_lines, row_object
 
@@ -129,7 +129,8 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert run.passed
     cells = validity(vehicle, controller, [BUMP, replace(BUMP, height=0.03)], sample_times(vehicle, 0.6, 1e-3))
     assert all(one.broke_off == "law overflow" and one.missing > 0.9 for one in cells.driven.values())
-    assert "  100.0 % of these: the law's own states run away until it asks for no finite force" in envelope_lines(cells, 0.05)
+    said = [one.text for one in describe(cells).statements]
+    assert "In 100.0 % of them, the states of the law overflow, and it requests no finite force." in said
 
 
 def test_a_request_that_swings_behind_a_lag():

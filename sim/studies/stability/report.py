@@ -8,7 +8,7 @@ from models.common.printed import WIDTH, as_name, finite
 from models.document.document import NOTE, Document, Statement, Table, apart, notes
 from models.document.field import Field
 from models.document.reading import Pivot
-from models.document.text import HANG
+from models.document.text import HANG, names_text
 from models.suspension.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
@@ -155,7 +155,7 @@ def describe(found: StabilityMargins) -> Document:
     first, *others = (f"{text[0].upper()}{text[1:]}." for text in (short, *details) if text)
     promises = notes(*(promise.text for promise in controller.robustness))
     blocks += [Document("", (*notes(first), *notes(*others, detail="full"), *promises)), _box_document(found)]
-    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, verdict(found)))
+    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
@@ -177,23 +177,25 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         Table.of("margins", caption, COMPARED, rows, 2, pivot),
         Table.of("robustness", "Largest norm of other vehicles, and MuJoCo at the corners of the ranges.", BOX, found),
     )
-    return Document("Stability margins", (*map(verdict, found), *notes(*texts), *map(margins_figure, found), *tables))
+    return Document("Stability margins", (*verdicts(found), *notes(*texts), *map(margins_figure, found), *tables))
 
 
-def verdict(found: StabilityMargins) -> Statement:
-    """Returns the statement on the predicted margins."""
-    name, box = as_name(found.controller.name), found.box
-    if found.wrong:
-        wrong = "; ".join(found.wrong)
-        return Statement(f"MuJoCo DOES NOT AGREE with the predicted margins of {name}: {wrong}. Try a smaller timestep.", "fails")
-    if box is not None and not box.holds:
-        return Statement(f"MuJoCo DOES NOT AGREE with linear analysis on other vehicles with {name}.", "fails")
-    edges = [found.fragile.edge.found]
-    for loop in found.loops.values():
-        edges += [loop.gain.found, loop.found_gain_lower, loop.found_delay, loop.found_sample_period]
-    decided = ", if its runs decide" if any(map(math.isnan, edges)) else ""
-    others = f", also on {len(box.corners)} other vehicles" if box is not None else ""
-    return Statement(f"MuJoCo agrees with the predicted margins of {name}{decided}{others}.", "holds")
+def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
+    """Returns statements on the predicted margins of some controllers."""
+    agreed, statements = [one for one in found if one.agrees], list[Statement]()
+    if agreed:
+        edges = [one.fragile.edge.found for one in agreed]
+        for loop in (loop for one in agreed for loop in one.loops.values()):
+            edges += [loop.gain.found, loop.found_gain_lower, loop.found_delay, loop.found_sample_period]
+        decided = ", if its runs decide" if any(map(math.isnan, edges)) else ""
+        others = f", also on {len(agreed[0].box.corners)} other vehicles" if agreed[0].box else ""
+        names = names_text(one.controller.name for one in agreed)
+        statements.append(Statement(f"MuJoCo agrees with the predicted margins of {names}{decided}{others}.", "holds"))
+    for one in (one for one in found if not one.agrees):
+        wrong = "; ".join(one.wrong + ["other vehicles"] * bool(one.box and not one.box.holds))
+        text = f"MuJoCo DOES NOT AGREE with the predicted margins of {as_name(one.controller.name)}: {wrong}."
+        statements.append(Statement(f"{text} Try a smaller timestep.", "fails"))
+    return statements
 
 
 def loop_texts(vehicle: Vehicle) -> list[str]:

@@ -122,7 +122,7 @@ def describe(cells: Cells) -> Document:
     if cells.short:
         texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map is of the analysis with the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
-    return Document("", apart(*parts, verdict(cells)))
+    return Document("", apart(*parts, *verdicts([cells])))
 
 
 def _loop_texts(cells: Cells) -> list[str]:
@@ -154,21 +154,32 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     )
     caption = "Shares of each map by the first limit that is predicted; in MuJoCo's runs, where analysis holds, and as predicted."
     figures = [envelope_figure(one) for one in maps]
-    blocks = (*map(verdict, maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
+    blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
 
 
-def verdict(cells: Cells) -> Statement:
-    """Returns the statement on the map of a controller."""
-    count, others, agrees = len(cells.driven), len(cells.others), cells.as_predicted
-    text = f"the first limit is the predicted one in {count - others} of {count} cells"
-    text += f" (of the other {others}, {cells.unexplained or 'none'} is not at a boundary)" if others else ""
-    if cells.ends:
-        agree = sum(end.confirmed for end in cells.ends.values())
-        text += f", and at {agree} of {len(cells.ends)} edges, within {_within(cells)} of the height"
-    agreement = "agrees" if agrees else "DOES NOT AGREE"
-    name = as_name(cells.controller.name)
-    return Statement(f"MuJoCo {agreement} with the map of {name}: {text}.", "holds" if agrees else "fails")
+def verdicts(maps: Sequence[Cells]) -> list[Statement]:
+    """Returns statements on the maps of some controllers: those that are as predicted, and the others."""
+    statements = []
+    for agrees in (True, False):
+        if not (some := [one for one in maps if one.as_predicted == agrees]):
+            continue
+        count, others = (sum(len(of) for of in each) for each in ([one.driven for one in some], [one.others for one in some]))
+        text = f"the first limit is the predicted one in {count - others} of {count} cells"
+        away = sum(one.unexplained for one in some)
+        text += f" (of the other {others}, {away or 'none'} is not at a boundary)" if others else ""
+        if ends := [end for one in some for end in one.ends.values()]:
+            furthest = max(one.furthest for one in some)
+            within = percent(math.ceil(1e3 * furthest - 1e-6) / 1e3) if math.isfinite(furthest) else "no height"
+            text += f", and at {sum(end.confirmed for end in ends)} of {len(ends)} edges, within {within} of the height"
+        who = names_text(one.controller.name for one in some)
+        statements.append(
+            Statement(
+                f"MuJoCo {'agrees' if agrees else 'DOES NOT AGREE'} with the map of {who}: {text}.",
+                "holds" if agrees else "fails",
+            )
+        )
+    return statements
 
 
 def describe_ends(
@@ -204,8 +215,8 @@ def describe_ends(
         text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
         if errors:
             text += (
-                f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher: over the lower ones, no limit is "
-                f"reached, and analysis is within {at_most(max(errors))} of every peak; over the higher ones, this limit is."
+                f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher. Over the lower ones, no limit is "
+                f"reached, and analysis is within {at_most(max(errors))} of every peak. Over the higher ones, this limit is."
             )
         statements.insert(0, Statement(text, "holds"))
     text = (
@@ -217,11 +228,6 @@ def describe_ends(
 
 
 FOUND = Field[float]("height", float, ".3g", unit="m")
-
-
-def _within(cells: Cells) -> str:
-    """Describes how near the runs that enclose an end are to its predicted height."""
-    return percent(math.ceil(1e3 * cells.furthest - 1e-6) / 1e3) if math.isfinite(cells.furthest) else "no height"
 
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
