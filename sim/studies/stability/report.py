@@ -13,7 +13,7 @@ from models.suspension.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
-from sim.studies.stability.figure import margins_figure
+from sim.studies.stability.figure import ERROR, margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
@@ -149,12 +149,14 @@ def describe(found: StabilityMargins) -> Document:
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
+    stable = fragile.predicted.stable.proved_margin
+    first = f"with errors of up to {ERROR.text(stable)} of each signal is proved" if stable else "with errors is not proved"
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
     details = [f"the worst errors are {_worst_errors(found)}"] * (len(_worst_errors(found)) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
-    first, *others = (f"{text[0].upper()}{text[1:]}." for text in (short, *details) if text)
+    others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
     promises = notes(*(promise.text for promise in controller.robustness))
-    blocks += [Document("", (*notes(first), *notes(*others, detail="full"), *promises)), _box_document(found)]
+    blocks += [Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises)), _box_document(found)]
     return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
 
 
