@@ -18,7 +18,6 @@ from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section, road_section
 from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, frequency_section, paper_section
-from sim.report.limits import map_of, margins_section
 from sim.report.loads import loads_section, workshop_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
@@ -29,7 +28,9 @@ from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
+from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_end import regime_ends
+from sim.studies.validity.regime_map import Cells, validity
 from sim.studies.validity.report import compare_maps, describe_ends
 from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.paper import SEED, is_the_papers
@@ -37,6 +38,7 @@ from synth.vehicle.paper import SEED, is_the_papers
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
 MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "the paper"
 EXPORTED = "exported code"
+OF_MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 
 
 Name = tuple[str, str]  # stage and subject
@@ -102,7 +104,7 @@ def report(
     sections += [driven, agreement_section(scope, runs, finer)]
     if ends:
         wrong = report_answer.unclaimed(ends, runs)
-        sections.append(describe_ends(vehicle, ends, wrong, bump, scope.where, BUMP_DURATION, h))
+        sections.append(describe_ends(vehicle, ends, wrong, bump, scope.where, f"{BUMP_DURATION:g} s at {1e3 * h:g} ms"))
     if (MARGINS, "") in parts:
         maps = [parts[MAP, one.name] for one in scope.active]
         sections += [parts[MARGINS, ""], compare_maps(maps, scope.map_timestep, scope.noise_qualifier)]
@@ -146,8 +148,8 @@ def pieces_of(scope: Scope) -> dict[Name, Piece]:
 
         pieces[FRONT, ""] = front_section
     if not scope.quick and scope.active:
-        pieces[MARGINS, ""] = margins_section
-        pieces |= {(MAP, one.name): partial(map_of, number=i) for i, one in enumerate(scope.active)}
+        pieces[MARGINS, ""] = _margins
+        pieces |= {(MAP, one.name): partial(_map, number=i) for i, one in enumerate(scope.active)}
     if not scope.quick and (scope.stable or scope.laws):
         pieces[RIDE, ""] = _rides
     pieces[FREQUENCIES, ""] = _frequencies
@@ -191,6 +193,22 @@ def _frequencies(scope: Scope) -> Frequencies:
         frequency_section(scope, lines, sweeps, speed, own) if lines or own else None,
         workshop_section(scope, sweeps) if sweeps else None,
     )
+
+
+def _margins(scope: Scope) -> Document:
+    """Returns the section on margins, predicted and found."""
+    # A quick report has no margins, and waits for none of their searches to be imported.
+    from sim.studies.stability.report import compare
+    from sim.studies.stability.study import stability_margins
+
+    step = scope.margins_timestep
+    return compare(stability_margins(scope.vehicle, scope.active, step, scope.progress, each_loop=False))
+
+
+def _map(scope: Scope, number: int) -> Cells:
+    """Runs bumps of the paper's length, of every height and speed of `OF_MAP`, with one of the active controllers."""
+    bumps, vehicle = grid(read_axes(OF_MAP), {"length": Bump().length}), ideal_measurements(scope.vehicle)
+    return validity(vehicle, scope.active[number], bumps, sample_times(vehicle, BUMP_DURATION, scope.map_timestep))
 
 
 def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:

@@ -43,7 +43,7 @@ class Cells:
 
     Attributes:
         vehicle: the vehicle.
-        controller: its controller.
+        controller: the controller.
         loads: loads on the body over every bump.
         threshold: error with which linear analysis counts as valid, relative to the peak.
         bumps: bumps, one for each cell.

@@ -48,6 +48,7 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, lambda value: f"{100 * value:.2f} %"),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
+FOUND = Field[float]("height", float, ".3g", unit="m")
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
@@ -127,15 +128,13 @@ def describe(cells: Cells) -> Document:
 
 def _loop_texts(cells: Cells) -> list[str]:
     """Describes the parts of computer and actuators in linear analysis, and those in MuJoCo only; and a loop that is unstable."""
-    vehicle, certificate, texts = cells.vehicle, cells.controller.certificate, list[str]()
-    how = vehicle.implementation
-    if cells.controller.law.acts:
-        linear = built_words(vehicle)
-        texts += [f"Linear analysis is of the implemented loop: {linear}."] if linear else []
-        noise = f"MuJoCo also has {how.noise_text}, which is most of the error over small bumps."
-        texts += [noise] if how.has_measurement_noise else []
-    if not certificate.stable:
-        texts.append(f"UNSTABLE loop; every run grows: {certificate.own.words.removeprefix('unstable: ')}.")
+    how, stability, texts = cells.vehicle.implementation, cells.controller.certificate, list[str]()
+    if cells.controller.law.acts and (linear := built_words(cells.vehicle)):
+        texts.append(f"Linear analysis is of the implemented loop: {linear}.")
+    if cells.controller.law.acts and how.has_measurement_noise:
+        texts.append(f"MuJoCo also has {how.noise_text}, which is most of the error over small bumps.")
+    if not stability.stable:
+        texts.append(f"UNSTABLE loop; every run grows: {stability.own.words.removeprefix('unstable: ')}.")
     return texts
 
 
@@ -160,74 +159,60 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
 
 def verdicts(maps: Sequence[Cells]) -> list[Statement]:
     """Returns statements on the maps of some controllers: those that are as predicted, and the others."""
-    statements = []
-    for agrees in (True, False):
-        if not (some := [one for one in maps if one.as_predicted == agrees]):
+    statements = list[Statement]()
+    for right in (True, False):
+        if not (some := [one for one in maps if one.as_predicted == right]):
             continue
-        count, others = (sum(len(of) for of in each) for each in ([one.driven for one in some], [one.others for one in some]))
-        text = f"the first limit is the predicted one in {count - others} of {count} cells"
-        away = sum(one.unexplained for one in some)
-        text += f" (of the other {others}, {away or 'none'} is not at a boundary)" if others else ""
+        driven, others = sum(len(one.driven) for one in some), sum(len(one.others) for one in some)
+        text = f"the map of {names_text(one.controller.name for one in some)}: in {driven - others} of {driven} cells"
+        if others:
+            text += f" (of the other {others}, {sum(one.unexplained for one in some) or 'none'} is not at a boundary)"
         if ends := [end for one in some for end in one.ends.values()]:
-            furthest = max(one.furthest for one in some)
-            within = percent(math.ceil(1e3 * furthest - 1e-6) / 1e3) if math.isfinite(furthest) else "no height"
-            text += f", and at {sum(end.confirmed for end in ends)} of {len(ends)} edges, within {within} of the height"
-        who = names_text(one.controller.name for one in some)
-        statements.append(
-            Statement(
-                f"MuJoCo {'agrees' if agrees else 'DOES NOT AGREE'} with the map of {who}: {text}.",
-                "holds" if agrees else "fails",
-            )
-        )
+            text += f" and at {sum(end.confirmed for end in ends)} of {len(ends)} edges"
+            text += f", within {percent(math.ceil(1e3 * max(one.furthest for one in some) - 1e-6) / 1e3)}" if right else ""
+        text += ", the first limit is the predicted one."
+        agreement = "agrees" if right else "DOES NOT AGREE"
+        statements.append(Statement(f"MuJoCo {agreement} with {text}", "holds" if right else "fails"))
     return statements
 
 
-def describe_ends(
-    vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str], bump: Bump, where: str, duration: float, timestep: float
-) -> Document:
+def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str], bump: Bump, where: str, runs: str) -> Document:
     """Returns up to which height of a bump linear analysis is valid, for some controllers, as a document.
 
     Args:
-        wrong: controllers of which no height is claimed, as their runs do not agree.
+        wrong: names of the controllers without a claimed height, as their runs do not agree.
         where: the road of these runs.
-        duration: duration of the runs over the bump [s].
-        timestep: timestep of the physics [s].
+        runs: duration and timestep of the runs over the bump.
     """
     noise = f", without its {vehicle.implementation.noise_text}," if vehicle.implementation.has_measurement_noise else ""
-    heights, statements, errors = list[str](), list[Statement](), list[float]()
+    claimed = [(as_name(one.name), end) for one, end in ends if one.name not in wrong]
+    confirmed = [end for _, end in claimed if end and end.confirmed]
+    heights = [
+        f"{name} {FOUND.text(end.found)} ({end.end})" if end else f"{name} any height"
+        for name, end in claimed
+        if not end or end in confirmed
+    ]
+    failed = [
+        f"MuJoCo DOES NOT leave the linear range of {name} as predicted, by {end.predicted_end} at {HEIGHT.text(end.predicted)}."
+        for name, end in claimed
+        if end and end not in confirmed
+    ]
     if wrong:
-        text = f"For {names_text(wrong)}, no height is claimed, because MuJoCo does not agree over {where}."
-        statements.append(Statement(text, "fails"))
-    for one, end in ends:
-        name = as_name(one.name)
-        if end is None and one.name not in wrong:
-            heights.append(f"{name} any height")
-        elif end is not None and one.name not in wrong and end.confirmed:
-            found, predicted = FOUND.digits(end.found), FOUND.digits(end.predicted)
-            heights.append(f"{name} {found} m ({end.end}{f', predicted {predicted}' if predicted != found else ''})")
-            errors.append(end.error)
-        elif end is not None and one.name not in wrong:
-            text = f"MuJoCo DOES NOT leave the linear range of {name} as predicted, by {end.predicted_end} at "
-            statements.append(Statement(f"{text}{HEIGHT.text(end.predicted)}.", "fails"))
-    if heights:
-        which = "the analysis with semi-active dampers" if vehicle.dampers else "linear analysis"
-        which += "" if vehicle.ideal else f" of the implemented loop{noise}"
-        text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
-        if errors:
-            text += (
-                f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher. Over the lower ones, no limit is "
-                f"reached, and analysis is within {at_most(max(errors))} of every peak. Over the higher ones, this limit is."
-            )
-        statements.insert(0, Statement(text, "holds"))
-    text = (
-        f"One linear run of the implemented loop{noise} predicts the height. Runs take {duration:g} s at {1e3 * timestep:g} ms."
-    )
+        failed.append(f"For {names_text(wrong)}, no height is claimed, because MuJoCo does not agree over {where}.")
+    which = "the analysis with semi-active dampers" if vehicle.dampers else "linear analysis"
+    which += "" if vehicle.ideal else f" of the implemented loop{noise}"
+    text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
+    if confirmed:
+        off = at_most(max(end.error for end in confirmed))
+        text += (
+            f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher. Over the lower ones, no limit is reached, "
+        )
+        text += f"and analysis is within {off} of every peak. Over the higher ones, this limit is reached."
+    statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
+    note = f"One linear run of the implemented loop{noise} predicts the height. Runs take {runs}."
     caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
     table = Table.of("regime", caption, ENDS, ends, words=2)
-    return Document("Range of linear analysis over bumps", (*statements, *notes(text), table))
-
-
-FOUND = Field[float]("height", float, ".3g", unit="m")
+    return Document("Range of linear analysis over bumps", (*statements, *notes(note), table))
 
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
