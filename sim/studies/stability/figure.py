@@ -18,7 +18,7 @@ from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
 from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
-from synth.design.uncertainty.fragility import whose, worst_error_found
+from synth.design.uncertainty.fragility import worst_error_found
 
 POINTS, MEASURED = 40, 7  # of a predicted curve, and by MuJoCo's step
 AMOUNTS = 16  # of errors at which the worst norm is looked for
@@ -131,7 +131,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
         runs = 100 * np.array([a for a in (search.unstable if grows else search.stable,) if 0 < a <= end])
         curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
     both = _both(ERROR, stable.smallest_violation, fragile.edge.found) + " (extrapolated)" * fragile.edge.extrapolated
-    title = f"independent errors of {whose(predicted)}\n{both}"
+    title = f"independent errors of all signals\n{both}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 
 
@@ -144,16 +144,14 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
     verdict = "MuJoCo agrees at every corner" if box.holds else "MuJoCo DOES NOT AGREE at every corner"
     nominal = controller.certificate.norm.value
-    title = (
-        f"other vehicles: worst norm {FACTOR.text(box.norm)} of {box.computed}, designed {FACTOR.text(nominal)}\nMuJoCo {verdict}"
-    )
+    title = f"other vehicles: worst norm {FACTOR.text(box.norm)}, nominal {FACTOR.text(nominal)}\n{verdict}"
     if len(percent) == 1:
         curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
         heights = np.array([corner.norm for corner in box.corners])
     else:
         worst = norms.max(axis=tuple(range(2, norms.ndim)))
         curves, ground, height, heights = [], Shades(percent[0], percent[1], worst.T, "H-infinity norm"), np.zeros(1), at[:, 1]
-    curves.append(Curve(np.zeros(1), height, "as designed", "#000000", "none", "+"))
+    curves.append(Curve(np.zeros(1), height, "nominal", "#000000", "none", "+"))
     for good, color, marker, _ in MARKERS:
         some = fine != good
         curves.append(Curve(at[some, 0], heights[some], "", color, "none", marker))

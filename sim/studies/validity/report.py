@@ -164,7 +164,8 @@ def verdicts(maps: Sequence[Cells]) -> list[Statement]:
         if not (some := [one for one in maps if one.as_predicted == right]):
             continue
         driven, others = sum(len(one.driven) for one in some), sum(len(one.others) for one in some)
-        text = f"the map of {names_text(one.controller.name for one in some)}: in {driven - others} of {driven} cells"
+        names = names_text(one.controller.name for one in some)
+        text = f"the map{'s' * (len(some) > 1)} of {names}: in {driven - others} of {driven} cells"
         if others:
             text += f" (of the other {others}, {sum(one.unexplained for one in some) or 'none'} is not at a boundary)"
         if ends := [end for one in some for end in one.ends.values()]:
