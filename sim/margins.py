@@ -130,32 +130,23 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
     from synth.controller.open_loop import LoopModel
     from synth.controller.report import sign_note
 
-    name = controller.name
+    name, certificate = f"controller {controller.name!r}", controller.certificate
     if not controller.law.acts:
-        raise InputError(f"controller {name!r} has no gain, so there is no loop and no margin; give one that has")
-    if not controller.certificate.stable:
-        raise InputError(
-            f"controller {name!r} has no margin, for without a computer its loop is not stable as it is "
-            f"({controller.certificate.stability.words}); give one that makes it stable{sign_note(controller)}"
-        )
+        raise InputError(f"{name} has no gain, so there is no loop and no margin; choose another controller")
+    if not certificate.stable:
+        why = f"without a computer its loop is not stable as it is ({certificate.stability.words})"
+        raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
     times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:
-        raise InputError(
-            f"controller {name!r} bears no delay at all, and no computer: what it measures at once has {times:.4g} times its own "
-            "force in it, which grows from sample to sample; lower its gain on accelerations, or filter them"
-        )
+        why = f"its measurements immediately contain {times:.4g} times its own force, which grows from sample to sample"
+        raise InputError(f"{name} tolerates no delay and no computer: {why}; lower its gain on accelerations, or filter them")
     radius = LoopModel(vehicle, controller, timestep).radius
     if radius >= 1:
-        raise InputError(
-            f"controller {name!r} is not stable at a timestep of {timestep:g} s (its sampled loop grows by {radius:.6g} every "
-            "step) or with its actuators' lag; give a smaller timestep or a larger actuator_bandwidth"
-        )
+        why = f"is not stable at a timestep of {timestep:g} s or with its actuators' lag (growth by {radius:.6g} every step)"
+        raise InputError(f"{name} {why}; give a smaller timestep or a larger actuator_bandwidth")
     if LoopModel(built, controller, timestep).radius >= 1:
-        how = ", ".join(built.implementation.without_noise.phrases)
-        raise InputError(
-            f"controller {name!r} has no margin, for its implemented loop is not stable ({how}); give a "
-            "shorter sample_period or delay"
-        )
+        why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
+        raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")
 
 
 def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargins", timestep: float) -> "dict[str, Run]":
