@@ -228,7 +228,7 @@ def _rows(found: StabilityMargins) -> list[Row]:
     edge, ideal = found.fragile.edge, ", ideal loop" * bool(found.built)
     rows = _loop_rows(found, found.built[""]) if found.built else []
     worst = _worst_errors(found)
-    note = _noted(edge, worst * (len(worst) <= WIDTH - HANG))
+    note = _joined(UNDECIDED * math.isnan(edge.found), worst * (len(worst) <= WIDTH - HANG))
     rows += _loop_rows(found, found.loops[""], ideal)
     rows.append(Row("error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated))
     return [*rows, *_sampled_rows(edge, found.fragile.timestep, scale=100.0)]
@@ -238,10 +238,10 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower = predicted.gain_lower or one.found_gain_lower
-    note = _noted(gain, "" if lower else "stable down to 0")
+    note = _joined(UNDECIDED * math.isnan(gain.found), "" if lower else "stable down to 0")
     rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain, h)]
     if lower:
-        seen = one.found_gain_lower, _noted(one.gain_lower), one.gain_lower.extrapolated
+        seen = one.found_gain_lower, UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
         rows += [Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True), *_sampled_rows(one.gain_lower, h, -1)]
     note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
     rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note))
@@ -256,10 +256,9 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     rows.append(Row(f"disk margin{of}", predicted.disk.size, note=note))
     total = one.sample_period.searched
     if (delay := one.delay).searched:
-        samples = (
-            f"{round(delay.stable / h)} samples decay, {round(delay.unstable / h)} grow" if math.isfinite(delay.unstable) else ""
-        )
-        note = _noted_time(delay, one.found_delay, samples * delay.decided)
+        known = delay.decided and math.isfinite(delay.unstable)
+        samples = f"{round(delay.stable / h)} samples decay, {round(delay.unstable / h)} grow" if known else ""
+        note = _noted_time(delay, one.found_delay, samples)
         times = 1e3 * one.predicted_delay, 1e3 * one.found_delay
         rows.append(Row("delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
     if total:
@@ -281,11 +280,6 @@ def _sampled_rows(gain: GainMargin, h: float, power: int = 1, scale: float = 1.0
 
 def _joined(*texts: str) -> str:
     return "; ".join(filter(None, texts))
-
-
-def _noted(gain: GainMargin, note: str = "") -> str:
-    """Returns a note on a margin, with the reason if no run decides it."""
-    return _joined(UNDECIDED * math.isnan(gain.found), note)
 
 
 def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
