@@ -119,7 +119,7 @@ campaigns                                                      2485   1618    16
 gallery of papers                                               854    403     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2503    921     68
+margins in physics                                             2488    921     68
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1892    581     37
