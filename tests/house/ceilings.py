@@ -111,7 +111,7 @@ log re-verification                                             850    600     4
 recordings: MCAP, Foxglove, Rerun                              2212   1175     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               5230   1602     68
+page and figures                                               5002   1586     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2485   1618    163
@@ -128,7 +128,7 @@ ride metrics and their expectation                             2231   1127      
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-map of validity                                                1147    356     33
+map of validity                                                1148    356     33
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    1794    836     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py

@@ -281,7 +281,7 @@ def _figure(cells: Cells, panel: Panel) -> Figure:
     title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
     title += f"{len(cells.bumps)} cells, {share(cells.agreement)} as predicted"
     finding = f"With {as_name(cells.controller.name)}, no limit is reached over {FIRST[0].cell(cells)} of these bumps."
-    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
+    return Figure("envelope", title, (panel,), columns=1, finding=finding)
 
 
 def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
