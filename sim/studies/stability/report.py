@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from models.common.printed import WIDTH, as_name, finite
@@ -179,7 +180,8 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         Table.of("margins", caption, COMPARED, rows, 2, pivot),
         Table.of("robustness", "Largest norm of other vehicles, and MuJoCo at the corners of the ranges.", BOX, found),
     )
-    return Document("Stability margins", (*verdicts(found), *notes(*texts), *map(margins_figure, found), *tables))
+    figures = (replace(margins_figure(one), name=f"margins-{one.controller.name}") for one in found)
+    return Document("Stability margins", (*verdicts(found), *notes(*texts), *figures, *tables))
 
 
 def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:

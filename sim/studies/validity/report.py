@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +153,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
         f"Linear analysis holds in a run if it is within {THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
     caption = "Shares of each map by the first limit that is predicted; in MuJoCo's runs, where analysis holds, and as predicted."
-    figures = [envelope_figure(one) for one in maps]
+    figures = (replace(envelope_figure(one), name=f"map-{one.controller.name}") for one in maps)
     blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
 
