@@ -37,6 +37,14 @@ def as_name(name: str) -> str:
     return f"`{name}`"
 
 
+def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Returns from pairs of name and text, by text, the names of all that have it, in backticks."""
+    alike: dict[str, list[str]] = {}
+    for name, text in said:
+        alike.setdefault(text, []).append(as_name(name))
+    return {text: ", ".join(names) for text, names in alike.items()}
+
+
 def percent(share: float) -> str:
     """Returns a share in percent; up to 1e-9, which is rounding, it is 0."""
     if share <= 1e-9:

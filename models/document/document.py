@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from models.common.printed import by_text
 from models.document.field import Detail, Field, T, cells, titles
 from models.document.figure import Figure
 from models.document.reading import Pivot, Reading, as_csv, read
@@ -45,6 +46,7 @@ class Table:
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned, except a last one `NOTE`.
         pivot: short form for a page, or None to show all columns that differ.
         detail: lowest level of detail at which it is shown.
+        wide: headings of columns that a terminal has no room for.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Table:
     words: int = 1
     pivot: Pivot | None = None
     detail: Detail = "normal"
+    wide: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
@@ -70,8 +73,9 @@ class Table:
         pivot: Pivot | None = None,
         detail: Detail = "normal",
     ) -> "Table":
-        """Returns the table of some results, a row each."""
-        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail)
+        """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
+        wide = tuple(field.title for field in fields if field.detail == "full")
+        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide)
 
     @property
     def reading(self) -> Reading:
@@ -142,6 +146,11 @@ def worst(statements: Iterable[Statement]) -> State:
 def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
     """Returns texts as statements that claim nothing."""
     return tuple(Statement(text, detail=detail) for text in texts)
+
+
+def statements(said: Iterable[tuple[str, str]], detail: Detail = "normal") -> list[Statement]:
+    """Returns statements on controllers from pairs of name and text; controllers with the same text share a statement."""
+    return [Statement(f"{names}: {text}", detail=detail) for text, names in by_text(said).items()]
 
 
 def is_shown(block: Block, detail: Detail) -> bool:

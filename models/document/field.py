@@ -54,9 +54,14 @@ class Field(Generic[Of]):
         """Returns a value of this quantity, in SI units, for a sentence: with its unit."""
         return f"{self.digits(value)} {self.unit}".rstrip()
 
-    def of(self, get: Callable[[T], Of], label: str = "") -> "Field[T]":
-        """Returns the field of objects from which `get` returns the result, with another label if one is given."""
-        return replace(self, label=label or self.label, value=lambda one: self.value(get(one)))  # pyright: ignore
+    def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
+        """Returns the field of objects from which `get` returns the result, or None for none; with a label if one is given."""
+
+        def value(one: T) -> Any:
+            result = get(one)
+            return None if result is None else self.value(result)
+
+        return replace(self, label=label or self.label, value=value)  # pyright: ignore
 
 
 def titles(fields: Iterable[Field[Any]]) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from models.common.printed import GAP, WIDTH, as_name, table, wrapped
+from models.common.printed import GAP, LINES, WIDTH, as_name, fitted, table, wrapped
 from models.document.document import NOTE, Detail, Document, Statement, Table, is_shown
 from models.document.field import Field, T, cells, titles
 
@@ -25,29 +25,43 @@ def joined(words: list[str]) -> str:
 
 
 def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
-    """Returns a document's lines for a terminal: its title, then its blocks; tables and documents follow an empty line.
+    """Returns a document's lines for a terminal: its title, then its blocks; documents follow an empty line.
 
-    Figures are left out. A statement of the document itself is indented below its title.
+    Figures are left out. Statements and tables are indented below a title; without one, a table follows an empty line.
     """
-    lines = [document.title] if document.title else []
+    lines, before = [document.title] if document.title else [], None
     indent = GAP if document.title else ""
     for block in document.blocks:
         if not is_shown(block, detail):
             continue
         if isinstance(block, Statement):
-            lines += wrapped(block.text.replace("`", ""), indent)
+            lines += [*([""] if isinstance(before, Document) else []), *wrapped(block.text.replace("`", ""), indent)]
         elif isinstance(block, Table):
-            lines += table_lines(block, indent)
+            lines += [*([""] if isinstance(before, Statement) and not document.title else []), *table_lines(block, indent)]
         elif isinstance(block, Document):
             lines += [*([""] if lines else []), *text_lines(block, detail)]
+        before = block
     return lines
+
+
+def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) -> list[str]:
+    """Returns a document's lines: all if `verbose`; otherwise the normal ones, or the brief ones if a terminal has no room.
+
+    Args:
+        others: lines that are printed with them.
+    """
+    if verbose:
+        return text_lines(document, "full")
+    lines = text_lines(document)
+    return lines if len(fitted([*others, *lines])) <= LINES else text_lines(document, "brief")
 
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns a table's lines for a terminal. Remarks of a last column `NOTE` stand right of the row, or below it."""
+    columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     if one.headings[-1] != NOTE:
-        return table([one.headings, *one.rows], indent)
-    *rows, remarks = [*zip(*([one.headings, *one.rows]), strict=True)]
+        return table([*zip(*columns, strict=True)], indent)
+    *rows, remarks = columns
     lines = []
     for line, remark in zip(table([*zip(*rows, strict=True)], indent), ("", *remarks[1:]), strict=True):
         beside = f"{line}{GAP}{remark}".rstrip()

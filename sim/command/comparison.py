@@ -29,7 +29,7 @@ from sim.runs.report import (
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import AnyController, Controller
-from synth.controller.law_margins import law_margins, names_of_warnings, unstable_by_itself, warning_lines
+from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
     without, few = dict[str, list[str]](), len(runs) <= FEW
     linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
     margins = {name: law_margins(*one) for name, one in linear.items() if name not in variants}
-    lines = [] if few else names_of_warnings(margins)
+    lines = [] if few else [part for text in warnings(margins) for part in wrapped(text.replace("`", ""), hang=4)]
     for run in runs:
         claim = claims(run.controller) if few else ""
         if not few or run.controller.name in variants:
@@ -256,7 +256,8 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
             without.setdefault(claim, []).append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
-            lines += warning_lines({run.controller.name: margins[run.controller.name]})
+            for text in warnings({run.controller.name: margins[run.controller.name]}):
+                lines += wrapped(text.replace("`", ""), hang=4)
         if code := code_line(run.prediction.code_effect, run.vehicle):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)

@@ -7,32 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.printed import as_name
-from models.document.document import Document, Table, notes
-from models.document.field import Field, cells, titles
+from models.document.document import Block, Document, Table, notes
+from models.document.field import Field
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.report.headline import responses
-from sim.report.scope import AMPLITUDE, NAME, Scope
+from sim.report.scope import AMPLITUDE, Scope
 from sim.studies.frequency.describing_function import MOVING, DescribingFunction, Moving
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep
 from synth.analysis.specification import Specification, digits
+from synth.command.table import Row, describe
 from synth.controller.controller import Controller
-from synth.controller.report import (
-    BOUND,
-    GAP,
-    LOWER_BOUND,
-    NORM,
-    PEAK,
-    SLOWEST_POLE,
-    failures_of_sampled_loop,
-    judged_lines,
-    notes_on_sampled_loop,
-    relative_difference_text,
-)
+from synth.controller.report import failures_of_sampled_loop
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
 
@@ -40,74 +30,35 @@ FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel'
 
 
 def design_section(scope: Scope) -> Document:
-    """Every controller: gain, certificate, and how good that is."""
-    proved = (BOUND, NORM, replace(PEAK, label="peak", unit="Hz", scale=1 / (2 * np.pi)), LOWER_BOUND, GAP, SLOWEST_POLE)
-    headings = ("controller", "measures", *titles(proved)[:-1], "slowest pole [1/s]", "certificate")
-    rows = []
-    for one in scope.controllers:
-        *numbers, pole = cells(proved, [one.certificate])[0]
-        pole = pole if one.certificate.stable else one.certificate.stability.verdict
-        rows.append((one.name, ", ".join(one.measured).replace("_", " ") or "nothing", *numbers, pole, _held(scope, one)))
-    for one in scope.laws:
-        rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, f"no linear claim: {one.kind}"))
-    text = (
-        "The bound is the gamma that the linear matrix inequality proves for this very law; the norm is recomputed by two other "
-        "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
-        "checked without the solver that found it. No controller of its kind, of whatever order, can have a norm below "
-        "its lower bound.",
-    )
+    """Returns the section on designs: norms, bounds and certificates as `python -m synth` prints them, goals, and gains."""
+    rows, designer = [_row(scope, one) for one in scope.controllers], scope.designer
+    document = describe(scope.vehicle, rows, designer.beyond_control, designer.plant)
+    blocks: list[Block] = [*document.blocks]
     if scope.laws:
-        text = (
-            *text,
-            f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty.",
-        )
-    if not scope.is_ideal:
-        text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
-    said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
-    text = (*text, *(f"{as_name(name)}: {line}." for name, line in said))
-    tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
-    if scope.laws:
-        described = tuple(
-            (one.name, one.text.partition(" (")[0], one.text.partition(" (")[2].removesuffix(")")) for one in scope.laws
-        )
-        tables.append(
-            Table("laws", "Description of the laws without a proof.", ("controller", "law", "what it does"), described, 3)
-        )
-    if scope.built_norms:
-
-        def above(one: Controller) -> str:
-            return (
-                relative_difference_text(scope.built_norms[one.name].value, one.certificate.norm.value)
-                if one.certificate.stable
-                else "-"
-            )
-
-        columns: tuple[Field[Controller], ...] = (
-            NAME,
-            NORM.of(lambda one: one.certificate, "norm, ideal loop"),
-            Field("norm, as built", lambda one: scope.built_norms[one.name].value, digits),
-            Field("that is", above),
-            Field("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
-        )
-        caption = (
-            f"The norm of the ideal loop, and of the loop as built{scope.noise_qualifier}, with what a road reaches of that."
-        )
-        tables.append(Table.of("norms", caption, columns, scope.stable))
-        built = (
-            f"As built, the loop has {scope.implementation_text}; its norm is that of its linear part{scope.noise_qualifier}: "
-            "the L2 gain from the "
-            "road's velocity to z, both of which go on while a force is held. It is exact, between two levels 1e-8 apart."
-        )
-        text = (*text, built)
+        where = next(i for i, block in enumerate(blocks) if isinstance(block, Table))
+        blocks[where] = _with_laws(scope, document.tables[0])
+        text = f"The force of {scope.kind_of_laws} is {_known(scope)}: nothing is proved for it, and its columns are empty."
+        described = tuple((one.name, *one.text.removesuffix(")").partition(" (")[::2]) for one in scope.laws)
+        caption = "Description of the laws without a proof."
+        blocks += [*notes(text), Table("laws", caption, ("controller", "law", "what it does"), described, 3)]
     if goals := goals_table(scope.controllers):
-        tables.append(goals)
-        text = (
-            *text,
-            "Some controllers have goals of their own in the vehicle file. Each is held against what is proved of it, or against "
-            "its value where that is exact; what is minimised has nothing that it may be at most.",
-        )
-    tables += [table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None]
-    return Document("Designs and certificates", (*notes(*text), *tables))
+        blocks.append(goals)
+    return Document(
+        document.title, (*blocks, *(table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None))
+    )
+
+
+def _row(scope: Scope, one: Controller) -> Row:
+    """Returns the row of a controller in the table of designs."""
+    certificate, norm = one.certificate, scope.built_norms.get(one.name)
+    return Row(one.name, one, (), failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm), sampled=norm)
+
+
+def _with_laws(scope: Scope, table: Table) -> Table:
+    """Returns the table of designs with a row for each law without a proof."""
+    empty = ["-"] * (len(table.headings) - 3)
+    rows = ((one.name, ", ".join(one.measured).replace("_", " "), *empty, f"no linear claim: {one.kind}") for one in scope.laws)
+    return replace(table, rows=(*table.rows, *rows))
 
 
 def _known(scope: Scope) -> str:
@@ -131,13 +82,6 @@ def goals_table(controllers: Sequence[Controller]) -> Table | None:
     promises = [(one.name, promise) for one in controllers for promise in one.specifications]
     caption = "What controllers keep of the goals that the vehicle file has for them."
     return Table.of("goals", caption, columns, promises, words=3) if promises else None
-
-
-def _held(scope: Scope, controller: Controller) -> str:
-    """Describes the parts of a certificate that fail, or hold only with the computer."""
-    certificate, norm = controller.certificate, scope.built_norms.get(controller.name)
-    failures = failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm)
-    return "; ".join(failures or notes_on_sampled_loop(scope.vehicle, certificate, norm)) or "holds"
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.document.field import Field
 from synth.controller.controller import Controller
+from synth.controller.report import BOUND
 from synth.design.two_step import as_measurement_matrix, well_posed
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
@@ -53,25 +55,25 @@ class CrossCheck:
     @property
     def failures(self) -> tuple[str, ...]:
         """The disagreements, in words."""
-        failed = []
+        failed, theirs = [], f"Clarabel's optimum of {self.problem}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
-            failed.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
+            failed.append(f"{theirs} is {BOUND.digits(self.theirs)}, ours is {BOUND.digits(self.ours)}")
         if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
-            failed.append(
-                f"our gain attains {self.attained:.9g} in Clarabel's {self.problem}, whose optimum is {self.theirs:.9g}"
-            )
+            failed.append(f"our gain attains {BOUND.digits(self.attained)}, {SHARE.digits(self.above)} off {theirs}")
         return tuple(failed)
 
     @property
     def text(self) -> str:
         """The result in words."""
         if self.theirs is None:
-            return f"no second witness: {self.said}"
-        assert self.apart is not None
-        text = f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours {self.ours:.9g}, {abs(self.apart):.0e} apart"
+            return f"no cross-check: {self.said}"
+        text = f"Clarabel's optimum of {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} off ours"
         if self.above is not None:
-            text += f"; our gain attains {self.attained:.9g} there, {abs(self.above):.0e} from it"
+            text += f"; our gain attains it within {SHARE.digits(abs(self.above))}"
         return f"{text}; {self.said}" if self.said else text
+
+
+SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
 
 
 def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:

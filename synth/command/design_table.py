@@ -3,43 +3,30 @@
 import json
 import math
 from argparse import Namespace
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import Stages, Whole, on_a_screen, say, table, titled
+from models.common.printed import Stages, as_name, by_text, percent, say, titled
+from models.document.document import Block, Document, Statement, Table, notes
+from models.document.field import Field
 from models.document.outputs import check_outputs, written_lines
+from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.invariant_point import UNCHANGED, is_pole, without_control
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import (
-    Row,
-    answer_lines,
-    detail_lines,
-    refine_lines,
-    ride_lines,
-    row_object,
-    semi_active_lines,
-    short_lines,
-    table_lines,
-    undamped,
-    verdict_lines,
-)
-from synth.controller.law_margins import law_margins, names_of_warnings, warning_lines
+from synth.command.table import Row, answers, describe, details, proofs, row_object, undamped
+from synth.controller.law_margins import law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import (
     failures_of_sampled_loop,
-    filter_lines,
-    ideal_lines,
     norm_or_failure,
-    notes,
     notes_on_sampled_loop,
-    sampled_lines,
-    twist_lines,
 )
+from synth.controller.report import notes as notes_on
 from synth.design.descent.flatness import free_moves
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -47,10 +34,33 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
-MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
-MORE_WITH_ABOUT = "-v explains the columns and adds poles, proofs, notes and laws in full"
-ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer stands in place of gains and rides
+MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
+ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer replaces gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
+WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
+RIDE = Field[Row]("expected ride", lambda row: row.ride, ".3g", key="expected_ride", unit="m/s2")
+CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
+
+
+@dataclass(frozen=True, eq=False)
+class Designs:
+    """Controllers of a vehicle file, designed or checked, and what no controller changes.
+
+    Attributes:
+        vehicle: the vehicle.
+        rows: controllers, one row each.
+        limit: bound that no control force lowers.
+        plant: generalized plant of that bound.
+        flat: gains that may move at little cost, see `_flatness`.
+        passive: expected ride of the passive suspension [m/s2], or None.
+    """
+
+    vehicle: Vehicle
+    rows: tuple[Row, ...]
+    limit: LowerBound
+    plant: GeneralizedPlant
+    flat: dict[str, list[float | None]]
+    passive: float | None
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
@@ -64,123 +74,46 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     """
     check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
     if options.save:
-        from synth.command.save import check_save
+        _check_save(vehicle, names, options)
+    designs = designs_of(vehicle, names, options)
+    outputs = {"saved": _saved(designs, options.save), "picture": _drawn(designs, options.picture)}
+    if options.json:
+        print(json.dumps(designs_object(designs, options, outputs), allow_nan=False))
+    else:
+        say(answer_lines(designs, options, outputs))
+    return 1 if any(row.failures for row in designs.rows) else 0
 
-        asked = [name for name in names if _designs(vehicle, name, options)]
-        ahead = [name for name in asked if name in vehicle.controllers and vehicle.controllers[name].preview]
-        check_save(options.save, vehicle, [name for name in asked if name not in ahead] or asked)
-    designer = Designer(vehicle)
-    stage = Stages(*(f"controller {name}" for name in names), FREE)
+
+def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
+    """Designs or checks the controllers, with everything that the options request."""
+    designer, stage = Designer(vehicle), Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:
         from synth.command.check import check
 
         rows = check(designer, options.controller)
     else:
-        rows = []
-        for name in names:
-            stage(f"controller {name}")
-            try:
-                rows.append(_row(designer, name, options, stage))
-            except InputError as error:  # of one section, which hides no other
-                if len(names) == 1:
-                    raise
-                rows.append(Row(name, None, (), (str(error),)))
-            rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
+        rows = [_designed(designer, name, options, stage, alone=len(names) == 1) for name in names]
     if options.cross_check and not any(row.witness or row.controller is None for row in rows):
-        raise InputError(
-            "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
-        )
-    if options.fragility:
-        from synth.command.fragility import fragility_report
-
-        rows = [replace(row, fragile=fragility_report(vehicle, row.controller)) for row in rows]
+        raise InputError("--cross-check has nothing to solve: no requested controller comes from an LMI problem without filters")
     stage(FREE)
-    moved = {} if options.check else _flatness(designer, rows)
-    rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
-    rows = [replace(row, margins=law_margins(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+    flat = {} if options.check else _flatness(designer, rows)
+    rows = tuple(_finished(vehicle, row, options.fragility) for row in rows)
     passive = expected_ride(vehicle, designer.design("passive"))
-    designs = [row.controller for row in rows if row.controller is not None]
-    saved = bool(options.save)
-    if saved:
-        from synth.command.save import save
-
-        save(options.save, vehicle, designs, {row.name: row.sampled_below for row in rows})
-    drawn = bool(options.picture) and _drawn(vehicle, rows, options.picture)
     limit = designer.beyond_control
     stage.end()
-    if options.json:
-        result = {
-            "vehicle": vehicle.kind.name,
-            "controllers": [row_object(row) for row in rows],
-            "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-            "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": "m/s2", "passive": passive},
-            "flat": {"gamma": FLAT, "gain_down_up": moved},
-            "saved": str(options.save) if saved else None,
-            **({"picture": str(options.picture) if drawn else None} if options.picture else {}),
-        }
-        print(json.dumps(result, allow_nan=False))
-    else:
-        lines = titled(vehicle.kind.name, vehicle.source)
-        full, asked = options.verbose, bool(options.given & ASKED)
-        promised = any(row.controller is not None and row.controller.specifications for row in rows)
-        if asked and len(rows) > 1 and not full:
-            lines += answer_lines(rows, checked=bool(options.check))
-        else:
-            for row in rows:
-                lines += (
-                    ["", *detail_lines(row, vehicle)]
-                    if full
-                    else short_lines(row, gains=not promised, checked=bool(options.check))
-                )
-        margins = {row.name: row.margins for row in rows if row.margins is not None} if not (full or asked) else {}
-        warnings, before = warning_lines(margins), lines
-        lines = []
-        if options.fragility and not full:
-            from synth.command.fragility import short_lines as fragile_lines
-
-            lines += fragile_lines({row.name: row.fragile for row in rows if row.fragile is not None})
-        lines += [*([""] if full else []), _limit(limit, designer.plant)]
-        if moved and full:
-            of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
-            share = f"{100 * FLAT:g} % more of {of}"
-            lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
-            lines += table([(state, *_range(*values)) for state, values in moved.items()])
-        refined, limits = refine_lines(rows, options.vehicle, full) if full or not asked else [], lines
-        lines = []
-        if saved:
-            from synth.command.save import left_out_lines
-
-            ahead = [one.name for one in designs if one.preview is not None]
-            lines += ["", "saved", Whole(f"  {options.save}"), *left_out_lines(ahead)]
-        if options.picture:
-            lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
-        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
-        given = ", every force given" if vehicle.dampers else ""
-        rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given) if full or not asked else []
-        unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
-        shown = {
-            "gains": before,
-            "warnings": warnings,
-            "limit": limits,
-            "refine": refined,
-            "files and table": [*lines, "", *table_lines(rows)],
-            "about": about,
-            "rides": [*rides, *unnamed],
-            "more": [] if full else [MORE],
-            "verdict": ["", *verdict_lines(rows)],
-        }
-        if not full:
-            shorter = {"about": [], "more": [MORE_WITH_ABOUT]} if about else {}
-            shown = on_a_screen(shown, (shorter, {"refine": []}, {"warnings": names_of_warnings(margins)}, {"more": []}))
-        say([line for part in shown.values() for line in part])
-    return 1 if any(row.failures for row in rows) else 0
+    return Designs(vehicle, rows, limit, designer.plant, flat, passive)
 
 
-def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
-    """Returns True if this command designs a gain for the controller; only such gains can be saved."""
-    if name == "passive":
-        return False
-    return options.refine or name == "state" or vehicle.controllers[name].law is None
+def _designed(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
+    """Returns the row of a designed controller, with its norm as implemented; or of the failure, if there are others."""
+    stage(f"controller {name}")
+    try:
+        row = _row(designer, name, options, stage)
+    except InputError as error:  # of one section, which hides no other
+        if alone:
+            raise
+        row = Row(name, None, (), (str(error),))
+    return row if row.controller is None else _built(designer, row, row.controller)
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
@@ -208,22 +141,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         witness = cross_check(designer, controller, options.zero_l)
         failures += witness.failures if witness is not None else ()
     worth = designer.worth_refining(controller)
-    return Row(name, controller, (*notes(controller), *said), failures, worth, witness, answers=said)
-
-
-def _built(vehicle: Vehicle, row: Row) -> Row:
-    """Returns a row with the norm as implemented, if the file defines it, or the reason why no computer can run the law."""
-    if row.controller is None:
-        return row
-    (norm, why), certificate = norm_or_failure(vehicle, row.controller), row.controller.certificate
-    said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
-    failures = (*failures_of_sampled_loop(vehicle, certificate, row.failures, norm), *why)
-    return replace(row, sampled=norm, notes=said, failures=failures)
-
-
-def _bounded(designer: Designer, row: Row) -> Row:
-    """A row with the lower bound of the sampled loop, if it was designed for that."""
-    return replace(row, sampled_below=designer.sampled_bound(row.controller)) if row.controller is not None else row
+    return Row(name, controller, (*notes_on(controller), *said), failures, worth, witness, answers=said)
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
@@ -237,18 +155,33 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
         not_refined = f"not refined: {str(error).removeprefix(f'controller {name!r}: ')}"
         failures = (*controller.certificate.failures, *controller.unmet_specifications)
-        return Row(name, controller, (*notes(controller), not_refined), failures, answers=(not_refined,))
-    said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
+        return Row(name, controller, (*notes_on(controller), not_refined), failures, answers=(not_refined,))
+    said = notes_on(refined.start) if refined.start is not None else ("the two steps find no gain",)
     judged = designer.judged(refined.controller)
     failures = (*judged.certificate.failures, *judged.unmet_specifications)
-    return Row(
-        name,
-        judged,
-        (*said, *judged.remarks, refined.traded),
-        failures,
-        answers=(refined.traded.partition(";")[0],),
-        refined=True,
-    )
+    traded = refined.traded.partition(";")[0]
+    return Row(name, judged, (*said, *judged.remarks, refined.traded), failures, answers=(traded,), refined=True)
+
+
+def _built(designer: Designer, row: Row, controller: Any) -> Row:
+    """Returns a row with the norm as implemented and its lower bound, if there are any, or why no computer can run the law."""
+    vehicle, certificate = designer.vehicle, controller.certificate
+    norm, why = norm_or_failure(vehicle, controller)
+    said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
+    failures = (*failures_of_sampled_loop(vehicle, certificate, row.failures, norm), *why)
+    return replace(row, sampled=norm, notes=said, failures=failures, sampled_below=designer.sampled_bound(controller))
+
+
+def _finished(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
+    """Returns a row with the expected ride, the margins of the law, and the tolerated errors if requested."""
+    controller = row.controller
+    if controller is None:
+        return row
+    if fragility:
+        from synth.command.fragility import fragility_report
+
+        row = replace(row, fragile=fragility_report(vehicle, controller))
+    return replace(row, ride=expected_ride(vehicle, controller), margins=law_margins(vehicle, controller))
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
@@ -273,42 +206,145 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     }
 
 
-def _limit(limit: LowerBound, plant: GeneralizedPlant) -> str:
-    """Returns the bound that no control force lowers, in words; with a mode to be held, for stabilising forces only.
+def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
+    """Checks that the gains that this command designs can be saved; only such gains are."""
+    from synth.command.save import check_save
 
-    At an invariant point z has that norm without control, too.
-    """
-    if limit.limit_at is None:
-        return "limit: none; at every frequency control forces can change all of z's response to the road"
-    if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
-        return (
-            f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
-            f"z's response to the road below {limit.gamma:.7g}"
-        )
-    free, said = without_control(plant, limit.limit_at), f"limit: {limit.gamma:.7g} at {limit.limit_at:.5g} rad/s"
-    if free <= limit.gamma * (1 + UNCHANGED):
-        return f"{said}, where no control changes z (invariant point)"
-    return f"{said}, the limit at that frequency: no control brings z below it, and without control z is {free:.7g} there"
+    entries = vehicle.controllers
+    new = [one for one in names if one != "passive" and (options.refine or one == "state" or entries[one].law is None)]
+    check_save(options.save, vehicle, [name for name in new if name not in entries or not entries[name].preview] or new)
 
 
-def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:
-    """A gain and the ends of the interval that it may move in, with digits enough to tell them apart."""
-    assert gain is not None
-    width = min((move for move in (down, up) if move), default=0.0)
-    digits = math.ceil(math.log10(abs(gain) / width)) + 2 if gain and width else 0
-    whole = math.floor(math.log10(abs(gain))) + 1 if gain else 0
-    digits = min(max(digits, 4, whole if whole <= 6 else 0), 15)  # up to a million without a power of ten
-    low = f"{gain - down:.{digits}g}" if down is not None else "any"
-    high = f"{gain + up:.{digits}g}" if up is not None else "any"
-    return f"{gain:.{digits + 1}g}", f"from {low}", f"to {high}"
+def _saved(designs: Designs, path: Path | None) -> Path | None:
+    """Saves the designed controllers if requested; returns the path."""
+    if path:
+        from synth.command.save import save
+
+        bounds = {row.name: row.sampled_below for row in designs.rows}
+        save(path, designs.vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
+    return path
 
 
-def _drawn(vehicle: Vehicle, rows: Sequence[Row], picture: Path) -> bool:
-    """Draws the responses of all loops that are stable; returns whether there is one."""
+def _drawn(designs: Designs, path: Path | None) -> Path | None:
+    """Draws the responses of all stable loops if requested; returns the path, or None if there are none."""
+    if not path:
+        return None
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
-    figure = responses_figure(vehicle, rows)
+    figure = responses_figure(designs.vehicle, designs.rows)
     if figure is not None:
-        write_picture(figure, picture)
-    return figure is not None
+        write_picture(figure, path)
+    return path if figure is not None else None
+
+
+def designs_object(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> dict[str, Any]:
+    """Returns the designs as a JSON object: SI units, None for infinite or missing values."""
+    limit, files = designs.limit, {name: str(path) if path else None for name, path in outputs.items()}
+    return {
+        "vehicle": designs.vehicle.kind.name,
+        "controllers": [row_object(row) for row in designs.rows],
+        "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
+        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive},
+        "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
+        **(files if options.picture else {"saved": files["saved"]}),
+    }
+
+
+def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:
+    """Returns the lines of the answer: on a screen, or in full with `-v`."""
+    vehicle, full = designs.vehicle, options.verbose
+    files = written_lines(outputs)
+    if outputs["saved"]:
+        from synth.command.save import left_out_lines
+
+        files += left_out_lines([row.name for row in designs.rows if row.controller is not None and row.controller.preview])
+    if options.picture and not outputs["picture"]:
+        files += ["no picture: no loop is stable"]
+    title, end = titled(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
+    return [*title, *screen_lines(document(designs, options), full, [*title, *files, *end]), *files, *end]
+
+
+def document(designs: Designs, options: Namespace) -> Document:
+    """Returns the answer as a document."""
+    vehicle, rows = designs.vehicle, designs.rows
+    asked = bool(options.given & ASKED)
+    margins = {row.name: row.margins for row in rows if row.margins is not None}
+    blocks: list[Block] = [*(details(vehicle, row) for row in rows)]
+    if not options.verbose:
+        gains = not asked or len(rows) == 1
+        blocks += answers(rows, gains, checked=bool(options.check))
+        blocks += notes(*(warnings(margins) if not asked else ()), detail="brief")
+    if options.fragility and not options.verbose:
+        from synth.command.fragility import describe as tolerated
+
+        blocks += tolerated({row.name: row.fragile for row in rows if row.fragile is not None})
+    blocks += describe(vehicle, rows, designs.limit, designs.plant).blocks
+    blocks += _rides(designs) if not asked else []
+    blocks += _worth(rows) if not asked else []
+    unnamed = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
+    if unnamed and not (options.controller or options.check):
+        names = ", ".join(map(as_name, unnamed))
+        blocks += notes(f"Linear analysis does not apply to {names}; sim.drive and sim.campaign run them.")
+    return Document("", (*blocks, proofs(rows), *_flat(designs), *([] if options.verbose else notes(MORE))))
+
+
+def _rides(designs: Designs) -> list[Statement]:
+    """Returns the expected ride of every controller, and those that ride worse than the passive suspension."""
+    rides, passive = {row.name: row.ride for row in designs.rows if row.ride is not None}, designs.passive
+    if not rides:
+        return []
+    rides = ({"passive": passive} if passive is not None else {}) | rides
+    changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
+    rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
+    listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
+    given = ", all forces given" if designs.vehicle.dampers else ""
+    loop = f"Ride of the ideal loop, class {ROAD_CLASS}, {SPEED:g} m/s{given}"
+    said = [f"{loop} [{RIDE.unit}]: {listed}"]
+    worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
+    if worse:
+        said.append(f"Ride WORSE than passive: {', '.join(worse)}; the norm does not measure comfort alone.")
+    return [*notes(*said, detail="brief")]
+
+
+def _worth(rows: Sequence[Row]) -> list[Statement]:
+    """Returns a statement on the norms that `--refine` lowers by more than the table's last digit."""
+    shares = ", ".join(f"{as_name(row.name)} by {_at_least(row.worth)} or more" for row in rows if row.worth)
+    return [Statement(f"--refine lowers the norm of {shares}.")] if shares else []
+
+
+def _at_least(share: float) -> str:
+    """Returns a share in percent, cut after two digits."""
+    unit = 10.0 ** (math.floor(math.log10(share)) - 1)
+    return percent(math.floor(share / unit) * unit)
+
+
+Move = tuple[str, list[float | None]]
+MOVES: tuple[Field[Move], ...] = (
+    Field("state", lambda one: one[0]),
+    Field("gain", lambda one: one[1][0], ".6g"),
+    Field("may fall by", lambda one: "any" if one[1][1] is None else one[1][1], ".4g"),
+    Field("may rise by", lambda one: "any" if one[1][2] is None else one[1][2], ".4g"),
+)
+
+
+def _flat(designs: Designs) -> list[Statement | Table]:
+    """Returns the gains that are not unique."""
+    if not designs.flat:
+        return []
+    of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
+    text = f"For {percent(FLAT)} more of {of}, each largest gain of the state feedback on a state may move alone:"
+    return [*notes(text, detail="full"), Table.of("flat", text, MOVES, designs.flat.items(), detail="full")]
+
+
+def verdict(rows: Sequence[Row]) -> Statement:
+    """Returns the verdict: the controllers with claims that fail, and those that are unstable as implemented."""
+    wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
+    text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
+    text = f"not every claim holds: {', '.join(wrong)}" if wrong else text
+    judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
+    lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
+    text += f"; UNSTABLE as the computer runs it: {', '.join(lost)}" if lost else ""
+    grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
+    text += f"; a law UNSTABLE by itself: {', '.join(grow)}" if grow else ""
+    return Statement(text, "fails" if wrong else "holds", "brief")

@@ -1,14 +1,27 @@
 """`python -m synth --fragility`: the errors of measurements and forces that a controller tolerates, and the cost of rounding."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from models.common.printed import finite, percent, table, wrapped
+from models.common.printed import percent
+from models.document.document import Block, Table, notes
+from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.controller.controller import Controller
-from synth.design.uncertainty.fragility import Fragility, fragility, fragility_object, fragility_text, rounding, rounding_text
+from synth.controller.report import NORM
+from synth.design.uncertainty.fragility import (
+    ERROR,
+    ErrorMargin,
+    Fragility,
+    fragility,
+    fragility_object,
+    fragility_text,
+    rounding,
+    rounding_text,
+)
 from synth.design.uncertainty.problem import scaled_gain
 
 
@@ -49,22 +62,29 @@ def fragility_report(vehicle: Vehicle, controller: Controller | None) -> Fragili
     return FragilityReport(borne, rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
 
 
-def short_lines(reports: Mapping[str, FragilityReport]) -> list[str]:
-    """Returns one controller's fragility in words, that of several as a table; empty without any."""
+def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
+    """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
     if len(reports) < 2:
-        return [line for one in reports.values() for line in one.lines]
-    shares = [share for one in reports.values() for share in one.found.within]
-    found = [f"norm + {percent(share)}" for share in dict.fromkeys(shares)]
-    rows: list[tuple[str, ...]] = [("errors [%]: proved, found", "unstable", *found, *next(iter(reports.values())).rounding)]
-    for name, one in reports.items():
-        margins = (one.found.stable, *one.found.within.values())
-        norms = (f"{each.norm.value:.5g}" if each.stable else "UNSTABLE" for each in one.rounding.values())
-        rows.append((name, *(_between(each.proved_margin, each.smallest_violation) for each in margins), *norms))
-    note = "each reading and force may be off by what is proved, not by what is found; "
-    note += "int16, float16: the norm with numbers so rounded"
-    return [*table(rows, indent=""), *wrapped(note, "  ", 2)]
+        return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
+    first = next(iter(reports.values()))
+    fields: list[Field[tuple[str, FragilityReport]]] = [
+        Field("errors [%]", lambda of: of[0]),
+        Field("unstable", lambda of: _between(of[1].found.stable)),
+    ]
+    for share in first.found.within:
+        fields.append(Field(f"norm + {percent(share)}", lambda of, to=share: _between(of[1].found.within[to])))
+    fields += [NORM.of(partial(_rounded, to), to) for to in first.rounding]
+    text = "Errors that each measurement and force may have: proved harmless, found harmful. int16, float16: the norm so rounded."
+    return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 
-def _between(proved: float, found: float) -> str:
-    """Returns the errors that are proved to be borne and those that are found not to be [%]; a dash for none."""
-    return ", ".join(f"{100 * value:.3g}" if value and finite(value) is not None else "-" for value in (proved, found))
+def _rounded(to: str, of: tuple[str, FragilityReport]) -> Certificate:
+    return of[1].rounding[to]
+
+
+def _between(margin: ErrorMargin) -> str:
+    """Returns the errors that are proved to be harmless and those that are found not to be; a dash for none."""
+    return ", ".join(SHARE.digits(value or None) for value in (margin.proved_margin, margin.smallest_violation))
+
+
+SHARE = replace(ERROR, form=".3g")  # two in a cell

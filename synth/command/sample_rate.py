@@ -2,31 +2,22 @@
 
 import json
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from models.document.outputs import check_outputs, written, written_lines
 from models.document.picture import write_picture
+from models.document.text import screen_lines
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.controller.report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, Cost, cost
-from synth.vehicle.sample_rate.report import (
-    about_lines,
-    cost_lines,
-    cost_object,
-    drawn_periods,
-    failures,
-    rates_figure,
-    sentence,
-    short_lines,
-)
+from synth.vehicle.sample_rate.report import cost_object, describe, drawn_periods, failures, rates_figure
 
-FEW = 2  # controllers with a table each; those of more would not fit a terminal
 MOST = 1000  # rates in one table
 
 
@@ -77,20 +68,18 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
         print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
     else:
-        lag, lines = built_words(replace(vehicle, implementation=Implementation())), titled(vehicle.kind.name, vehicle.source)
-        whole = options.verbose or len(chosen) <= FEW
-        if not whole:
-            lines += ["", *short_lines(chosen)]
-        for one in chosen if whole else []:
-            lines += ["", *cost_lines(one, lag)]
-        for name, reason in undesigned.items():
-            lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
-        about = ["", *about_lines(chosen, lag)] if whole else []
-        sentences = [line for one in chosen for line in sentence(one)] if whole else []
-        if not (whole or failed or undesigned):
-            sentences = [f"every claim holds, of {len(chosen)} controllers"]
-        say([*lines, *about, *written_lines(outputs), "", *sentences, *(f"DOES NOT HOLD: {text}" for text in failed)])
+        document = describe(chosen, built_words(replace(vehicle, implementation=Implementation())))
+        end = [*written_lines(outputs), "", *_verdict(len(chosen), failed, undesigned)]
+        title = titled(vehicle.kind.name, vehicle.source)
+        say([*title, *screen_lines(replace(document, title=""), options.verbose, [*title, *end]), *end])
     return 1 if failed or undesigned else 0
+
+
+def _verdict(count: int, failed: Sequence[str], undesigned: Mapping[str, str]) -> list[str]:
+    """Returns the failures, or that there are none."""
+    lines = [f"controller {name} NOT DESIGNED: {reason}" for name, reason in undesigned.items()]
+    lines += [f"DOES NOT HOLD: {text}" for text in failed]
+    return lines or [f"every claim holds for {count} controller{'s' * (count != 1)}"]
 
 
 def _only(one: Cost, periods: Sequence[float]) -> Cost:

@@ -1,19 +1,22 @@
-"""Designs in words and numbers: the table on the terminal and the object for `--json`."""
+"""Designs of a vehicle file: rows of the table, their document for the terminal and for a report, and the object for `--json`."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.common.printed import WIDTH, command, finite, option, percent, table, wrapped
-from models.document.field import cells, json_object, titles
-from models.laws.linear import FEWER
+from models.common.printed import WIDTH, as_name, finite, percent
+from models.document.document import Block, Document, Statement, Table, notes, statements
+from models.document.field import Field, json_object
+from models.laws.linear import FEWER, gain_text
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import LmiProof
-from synth.analysis.lower_bound import SampledBound
+from synth.analysis.certificate import Certificate, Definiteness, LmiProof
+from synth.analysis.invariant_point import UNCHANGED, is_pole, without_control
+from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import MARGINAL
@@ -26,31 +29,36 @@ from synth.controller.report import (
     LOWER_BOUND,
     NORM,
     PEAK,
+    REACHED,
+    SAMPLED,
     SLOWEST_POLE,
-    gain_lines,
+    filter_lines,
     growth_lines,
     growth_object,
-    heading_lines,
-    norm_lines,
+    ideal_lines,
+    judged_lines,
+    law_text,
     norm_object,
     norm_record,
+    notes_on_sampled_loop,
     pid_line,
-    preview_lines,
+    relative_difference_text,
+    sampled_lines,
     sign_note,
+    twist_lines,
 )
+from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
     from synth.command.fragility import FragilityReport
 
-
-LONGEST = 20  # letters of a name beside which a line has room
-WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
+GAIN_WIDTH = WIDTH - 20  # columns of a gain in a short answer; a longer one is printed by -v
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A line of the table.
+    """A row of the design table.
 
     Attributes:
         name: name of the controller.
@@ -83,11 +91,259 @@ class Row:
     margins: LawMargins | None = None
 
     @property
+    def certificate(self) -> Certificate | None:
+        """Returns the controller's certificate; None if its design failed."""
+        return self.controller.certificate if self.controller is not None else None
+
+    @property
+    def measures(self) -> str:
+        """Returns the names of the measured signals."""
+        return ", ".join(self.controller.measured) or "nothing" if self.controller is not None else ""
+
+    @property
     def sampled_gap(self) -> float | None:
         """Relative distance of the sampled norm from its lower bound; None without either."""
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
+
+
+def _decided(row: Row, field: Field[Certificate]) -> Any:
+    """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
+    if row.certificate is None:
+        return "NOT DESIGNED"
+    return field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+
+
+CERTIFICATE = attrgetter("certificate")  # of a row
+CONTROLLER = Field[Row]("controller", lambda row: row.name)
+MEASURES = Field[Row]("measures", lambda row: row.measures.replace("_", " "), detail="full")
+NORM_OR_VERDICT = Field[Row](NORM.label, lambda row: _decided(row, NORM), NORM.form)
+POLE_OR_VERDICT = Field[Row](
+    SLOWEST_POLE.label, lambda row: _decided(row, SLOWEST_POLE), SLOWEST_POLE.form, unit=SLOWEST_POLE.unit, detail="full"
+)
+BUILT: Field[Row] = SAMPLED.of(attrgetter("sampled"))
+LEVEL = Field[Row](
+    "its lower bound", lambda row: row.sampled_below.level if row.sampled_below is not None else None, LOWER_BOUND.form
+)
+ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
+
+
+def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: GeneralizedPlant) -> Document:
+    """Returns the designs as a document: the table, the limit of every design, and notes on the loops that are meant."""
+    controllers = [row.controller for row in rows if row.controller is not None]
+    built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
+    held = Field[Row]("certificate", lambda row: "; ".join(row.failures or _cured(vehicle, row)) or "holds", detail="full")
+    others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
+    if bounded:  # a terminal has no room for them beside the lower bound of the sampled loop
+        others = [replace(field, detail="full") for field in others]
+    sampled = [*[BUILT] * built, *[LEVEL, ABOVE_LEVEL] * bounded]
+    fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
+    about = [*ideal_lines(vehicle, controllers), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
+    said = [(row.name, text) for row in rows if row.controller is not None for text in judged_lines(row.controller)]
+    blocks: list[Block] = [Statement(limit_text(limit, plant), detail="brief")]
+    blocks.append(
+        Table.of("designs", "Norms, bounds and certificates of all controllers.", fields, rows, words=2, detail="brief")
+    )
+    blocks += notes(*about)
+    blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
+    blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
+    blocks += notes(EXPLANATION, detail="full")
+    if built:
+        caption = "The norm of the ideal loop and of the sampled-data loop, with the gain that a road reaches there."
+        blocks.append(Table.of("norms", caption, NORMS, [row for row in rows if row.sampled is not None], detail="full"))
+    return Document("Designs and certificates", tuple(blocks))
+
+
+def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
+    """Returns the bound that no control force lowers, in words; with a mode to be held, for stabilising forces only.
+
+    At an invariant point z has that norm without control, too.
+    """
+    if limit.limit_at is None:
+        return "Limit: none. At every frequency control forces can change all of z's response to the road."
+    lowest, where = LOWER_BOUND.digits(limit.gamma), PEAK.text(limit.limit_at)
+    if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
+        return f"Limit: {lowest} at {where}, for every control force that holds the mode there, which does not decay by itself."
+    free = without_control(plant, limit.limit_at)
+    if free <= limit.gamma * (1 + UNCHANGED):
+        return f"Limit: {lowest} at {where}, where no control changes z (invariant point)."
+    return f"Limit: {lowest} at {where}. No control brings z below it there; without control z is {LOWER_BOUND.digits(free)}."
+
+
+EXPLANATION = (
+    "LMI (20) proves the bound for the law itself. Two other routes compute the norm. A certificate holds if all poles are "
+    "stable, X > 0, LMI (20) is negative definite and the norm is at most the bound; no solver takes part in this check. No "
+    "controller with the same measurements, of any order, has a norm below the lower bound."
+)
+
+
+def _difference(row: Row) -> str:
+    """Returns the difference of both norms in words; "-" if they are of different signals or infinite."""
+    certificate = row.certificate
+    if certificate is None or not certificate.stable or row.sampled is None or not row.sampled.stable:
+        return "-"
+    return relative_difference_text(row.sampled.value, certificate.norm.value)
+
+
+NORMS: tuple[Field[Row], ...] = (
+    CONTROLLER,
+    replace(NORM_OR_VERDICT, label="norm, ideal loop"),
+    replace(BUILT, label="norm, as built"),
+    Field("that is", _difference),
+    REACHED.of(lambda row: row.sampled),
+)
+
+
+def _cured(vehicle: Vehicle, row: Row) -> tuple[str, ...]:
+    return notes_on_sampled_loop(vehicle, row.certificate, row.sampled) if row.certificate is not None else ()
+
+
+def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
+    """Returns statements on each controller: its gain or first specification, the requested answers, and failures.
+
+    Args:
+        gains: False to omit gains and specifications, except the gains of refined controllers.
+        checked: True for a statement on what was checked.
+    """
+    own = without_copies(row.name for row in rows)
+    shown = [
+        row for row in rows if row.controller is not None and (not row.refined or row.name in own)
+    ]  # copies are refined alike
+    promised = any(row.controller is not None and row.controller.specifications for row in rows)
+    said = []
+    for row in shown:
+        said += [(row.name, text) for text in _first(row, gains and not promised) if gains or row.refined]
+    said += [(row.name, text) for row in shown for text in _requested(row, checked)]
+    failed = [
+        Statement(f"{as_name(row.name)} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {text}", "fails", "brief")
+        for row in rows
+        for text in failures_of(row)
+    ]
+    return [*statements(said, "brief"), *failed]
+
+
+def _first(row: Row, gains: bool) -> Iterator[str]:
+    """Yields the first specification of a controller, its short designed gain, or the natural frequencies without damping."""
+    controller = row.controller
+    assert controller is not None
+    if undamped(controller):
+        yield f"undamped without control; natural frequencies {', '.join(map(_motion, _poles(controller)))}"
+    elif controller.specifications:
+        first, *others = controller.specifications
+        kept = sum(one.holds for one in others)
+        yield f"{replace(first, where='').text}{f'; {kept} more kept' if kept else ''}"
+    elif (gains or row.refined) and controller.designed:
+        text = pid_line(controller) if controller.law.states else f"gain {gain_text(controller.law.D)}"
+        yield from [text] if text and (controller.law.states or len(text) <= GAIN_WIDTH) else []
+    if controller.preview is not None:
+        yield f"answers the road {controller.ahead:g} s ahead, too"
+
+
+def _requested(row: Row, checked: bool) -> Iterator[str]:
+    assert row.controller is not None
+    yield from (part for remark in row.controller.remarks for part in remark.split("; ") if part.startswith(FEWER))
+    yield from row.answers
+    if row.witness is not None:
+        yield row.witness.text
+    if checked:
+        yield from row.notes[-1:]
+
+
+def failures_of(row: Row) -> list[str]:
+    """Returns what fails, the first with a note on the signs of a law if they may be why."""
+    first, *others = [*row.failures] or [""]
+    return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
+
+
+def undamped(controller: Controller) -> bool:
+    """Returns True for a vehicle without control that does not damp some motion: a property of the vehicle, not a failure."""
+    return not controller.measured and controller.certificate.stability.verdict == MARGINAL
+
+
+def _poles(controller: Controller) -> list[complex]:
+    """Returns the poles of a loop, one of each pair, by natural frequency; those on the axis without their rounding errors."""
+    own = controller.certificate.own
+    poles = np.where(own.on_axis, 1j * np.imag(own.poles), own.poles)
+    poles = np.where(np.abs(poles) > own.rounding, poles, 0.0)
+    return sorted((complex(pole) for pole in poles if pole.imag >= 0), key=abs)
+
+
+HERTZ = Field[complex]("frequency", abs, ".3g", 1 / (2 * math.pi), unit="Hz")
+DAMPING = Field[complex]("damping", lambda pole: abs(pole.real) / abs(pole) if pole else 0.0, ".2g")
+POLES: tuple[Field[complex], ...] = (
+    Field(
+        "pole [1/s]",
+        lambda pole: SLOWEST_POLE.digits(pole.real) + (f" +- {SLOWEST_POLE.digits(pole.imag)}j" if pole.imag else ""),
+    ),
+    HERTZ,
+    DAMPING,
+)
+
+
+def _motion(pole: complex) -> str:
+    return HERTZ.text(abs(pole)) + (f" (damping {DAMPING.cell(pole)})" if pole.real else "")
+
+
+INSIDE = "one sample period decides the sampled norm: no controller at this rate has a smaller one"
+
+
+def details(vehicle: Vehicle, row: Row) -> Document:
+    """Returns all of a controller: its law, poles, specifications, notes and failures."""
+    if row.controller is None:
+        return Document(f"controller {row.name}", notes(*(f"NOT DESIGNED: {failure}" for failure in row.failures), detail="full"))
+    controller, certificate = row.controller, row.controller.certificate
+    common = {*judged_lines(controller)}
+    said = [
+        *([law_text(controller.law)] if controller.measured else ["no control force"]),
+        *([certificate.stability.words] if undamped(controller) else []),
+        *(f"specification: {one.text}" for one in controller.specifications),
+        *([row.witness.text] if row.witness is not None else []),
+        *(row.fragile.lines if row.fragile is not None else []),
+        *growth_lines(vehicle, controller),
+        *(note for note in (*row.notes, *certificate.remarks) if note not in common),
+        *(
+            ["the sampled norm is decided within one period: no controller has less"]
+            if row.sampled and row.sampled.inside
+            else []
+        ),
+        *(f"FAILS: {failure}" for failure in failures_of(row)),
+    ]
+    table = Table.of(f"poles-{row.name}", "", POLES, _poles(controller))
+    law, *others = notes(*said, detail="full")
+    return Document(f"controller {row.name}: measures {row.measures}", (law, table, *others), "full")
+
+
+def proofs(rows: Sequence[Row]) -> Table:
+    """Returns the table of proofs: how far the two routes to the norm differ, and by how much the inequalities hold."""
+    of_X = _part("X > 0 by", "+- X", lambda proof: proof.positive)
+    of_lmi = _part("LMI (20) < 0 by", "+- LMI", lambda proof: proof.negative)
+    caption = "Distance of the two routes to the norm, and balanced eigenvalues with the rounding that they must exceed."
+    return Table.of(
+        "proofs",
+        caption,
+        (CONTROLLER, ROUTES, *of_X, *of_lmi),
+        [row for row in rows if row.controller is not None],
+        detail="full",
+    )
+
+
+ROUTES = Field[Row](
+    "routes apart", lambda row: row.certificate.norm.gap if row.certificate and row.certificate.stable else None, ".0e"
+)
+
+
+def _part(label: str, rounding: str, part: Callable[[LmiProof], Definiteness]) -> tuple[Field[Row], Field[Row]]:
+    """Returns the fields of an inequality: its smallest eigenvalue and its rounding; absent if it is not proved."""
+
+    def found(row: Row) -> Definiteness | None:
+        proof = row.certificate.proof if row.certificate is not None else None
+        return part(proof) if proof is not None and part(proof).proved else None
+
+    return (
+        Field(label, lambda row: one.smallest if (one := found(row)) is not None else None, ".1e"),
+        Field(rounding, lambda row: one.rounding if (one := found(row)) is not None else None, ".0e"),
+    )
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -132,250 +388,9 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
-def table_lines(rows: Sequence[Row]) -> list[str]:
-    """Returns one line for each controller; norms as implemented replace columns that are printed in full above."""
-    built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
-    before, after = (BOUND, NORM), (PEAK, LOWER_BOUND, *(() if built else (GAP,)), SLOWEST_POLE)
-    of_sampled = ("sampled",) if built else ()
-    if bounded:  # a lower bound stands behind each of the two norms
-        before, after, of_sampled = (BOUND, NORM, LOWER_BOUND), (), ("sampled", LOWER_BOUND.title, GAP.title)
-    headings = (*titles(before), *of_sampled, *titles(after))
-    lines: list[tuple[str, ...] | str] = [("controller", *headings)]
-    longest = max(len("controller"), *(len(row.name) for row in rows if len(row.name) <= LONGEST), 0)
-    empty = ("",) * (len(headings) - 1)
-    for row in rows:
-        certificate = row.controller.certificate if row.controller is not None else None
-        if certificate is None:
-            lines.append(f"{row.name:{longest}}  NOT DESIGNED")  # a cell would be wider than all numbers
-        elif not certificate.stable and (row.sampled is None or not row.sampled.stable):
-            lines.append((row.name, certificate.stability.verdict.upper(), *empty))
-        else:
-            [(bound, norm, *below)], [others] = cells(before, [certificate]), cells(after, [certificate])
-            norm = norm if certificate.stable else certificate.stability.verdict.upper()
-            sampled = (_sampled(row.sampled),) if built else ()
-            sampled += _sampled_bound(row) if bounded else ()
-            lines.append((row.name, bound, norm, *below, *sampled, *others))
-    return table(lines, indent="")
-
-
-def _sampled(norm: SampledNorm | None) -> str:
-    """Returns the cell of the norm as implemented."""
-    return "-" if norm is None else f"{norm.value:.7g}" if norm.stable else "UNSTABLE"
-
-
-def _sampled_bound(row: Row) -> tuple[str, str]:
-    """Returns the cells of the sampled loop's lower bound and of the gap to it."""
-    bound, gap = row.sampled_below, row.sampled_gap
-    return f"{bound.level:.7g}" if bound is not None else "-", percent(gap) if gap is not None else "-"
-
-
-def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
-    """Returns the lines of a controller in full."""
-    if row.controller is None:
-        return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
-    controller, certificate = row.controller, row.controller.certificate
-    lines = heading_lines(controller)
-    own = certificate.own
-    lines += _pole_lines(np.where(own.on_axis, 1j * np.imag(own.poles), own.poles))
-    if certificate.stable:
-        lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
-    if certificate.proof is not None:
-        # What is not proved stands among the failures, in words: a number here would read as if it were.
-        parts = {"X > 0": certificate.proof.positive, "LMI (20) < 0": certificate.proof.negative}
-        proved = {name: part for name, part in parts.items() if part.proved}
-        if proved:
-            by = " and ".join(f"{name} by {part.smallest:.1e}" for name, part in proved.items())
-            rounding = " and ".join(f"{part.rounding:.0e}" for part in proved.values())
-            lines.append(f"  {by}, {'both ' * (len(proved) > 1)}balanced; rounding is at most {rounding}")
-    if certificate.gap is not None:
-        lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
-    for promise in controller.specifications:
-        lines += wrapped(promise.text, "  promise: ", 4)
-    free = undamped(controller)
-    lines += [f"  {line}" for line in ([certificate.stability.words] if free else norm_lines(vehicle, controller, row.sampled))]
-    if row.sampled_gap is not None and row.sampled_below is not None:
-        lines.append(
-            f"  sampled norm {percent(row.sampled_gap)} above {row.sampled_below.level:.7g}, which no controller with these "
-            "measurements beats at this rate"
-        )
-    if row.witness is not None:
-        lines.append(f"  {row.witness.text}")
-    if row.fragile is not None:
-        lines += [f"  {line}" for line in row.fragile.lines]
-    notes = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
-    return [*lines, *(f"  {note}" for note in notes), *(f"  FAILS: {failure}" for failure in _failures(row))]
-
-
-def undamped(controller: Controller) -> bool:
-    """Returns True for a vehicle without control that does not damp some motion: a property of the vehicle, not a failure."""
-    return not controller.measured and controller.certificate.stability.verdict == MARGINAL
-
-
-def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
-    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures."""
-    alike = dict[str, list[str]]()
-    own = without_copies(row.name for row in rows)
-    shown = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does
-    for row in shown:
-        for each in _answers(row, checked) if row.controller is not None else []:
-            alike.setdefault(each, []).append(row.name)
-    if ahead := [row.name for row in rows if row.controller is not None and row.controller.preview is not None]:
-        alike.setdefault(FEEDBACK_ALONE, []).extend(ahead)
-    lines = [line for row in shown if row.refined and row.controller is not None for line in _gain(row.controller)]
-    lines += [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
-    return [*lines, *(line for row in rows for line in _failure_lines(row))]
-
-
-def _gain(controller: Controller) -> list[str]:
-    """Returns the line of a designed gain, empty where no line holds it, or the gains of a designed PI or PID law."""
-    if controller.designed and controller.law.states:
-        pid = pid_line(controller)
-        return wrapped(pid, f"{controller.name}: ", 4) if pid else []
-    gain = gain_lines(controller.law.D, f"{controller.name}: gain ") if controller.designed else []
-    return gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
-
-
-def _answers(row: Row, checked: bool) -> list[str]:
-    remarks = row.controller.remarks if row.controller is not None else ()
-    return [
-        *(part for remark in remarks for part in remark.split("; ") if part.startswith(FEWER)),
-        *row.answers,
-        *([row.witness.text] if row.witness is not None else []),
-        *(row.notes[-1:] if checked else []),
-    ]
-
-
-def _failure_lines(row: Row) -> list[str]:
-    return [f"{row.name} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {failure}" for failure in _failures(row)]
-
-
-def _failures(row: Row) -> list[str]:
-    """Returns what fails, the first with a note on the signs of a law if they may be why."""
-    first, *others = [*row.failures] or [""]
-    return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
-
-
-def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
-    """Returns the first specification of a controller with goals, or a short designed gain, requested answers, and failures.
-
-    Args:
-        gains: False to omit the gains.
-        checked: True for a line on what was checked.
-    """
-    if row.controller is None:
-        return _failure_lines(row)
-    if undamped(row.controller):
-        return [*_undamped_lines(row.controller), *_failure_lines(row)]
-    promises = row.controller.specifications
-    if promises:
-        kept = sum(promise.holds for promise in promises[1:])
-        first = replace(promises[0], where="")  # at which frequency, and of which vehicle, is told by `-v`
-        lines = wrapped(f"{first.text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
-    else:
-        lines = _gain(row.controller) if gains else []
-    if row.controller.preview is not None:
-        lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
-    lines += [part for each in _answers(row, checked) for part in wrapped(each, f"{row.name}: ", 4)]
-    return [*lines, *_failure_lines(row)]
-
-
-def _undamped_lines(controller: Controller) -> list[str]:
-    """Returns the natural frequencies of an undamped vehicle, with the damping ratios of motions that decay."""
-    own, motions = controller.certificate.own, []
-    for pole, free in sorted(zip(own.poles, own.on_axis, strict=True), key=lambda one: abs(one[0])):
-        if pole.imag >= 0:
-            damping = "" if free else f" (damping {-pole.real / abs(pole):.2g})"
-            motions.append(f"{abs(pole) / (2 * math.pi) if abs(pole) > own.rounding else 0.0:.4g} Hz{damping}")
-    return wrapped(f"undamped without control; natural frequencies {', '.join(motions)}", f"{controller.name}: ", 4)
-
-
-def semi_active_lines(vehicle: Vehicle) -> list[str]:
-    """Returns a line that lists the laws to which linear analysis does not apply; empty without any."""
-    names = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
-    return [f"no linear claim, so not in this table: {', '.join(names)}; sim.drive and sim.campaign run them"] if names else []
-
-
 def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
     """Returns a cross-check as a JSON object."""
     return {**asdict(witness), "apart": witness.apart, "above": witness.above}
-
-
-def refine_lines(rows: Sequence[Row], vehicle: str, whole: bool) -> list[str]:
-    """Returns the norms that `--refine` lowers by more than the table's last digit; empty if none.
-
-    Args:
-        vehicle: argument of `--vehicle`.
-        whole: True for the command below it.
-    """
-    worth = [row for row in rows if row.worth]
-    if not worth:
-        return []
-    shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
-    named = [option("--controller", row.name) for row in worth]
-    if not whole:
-        return [f"refine: --refine lowers the norm of {shares}"]
-    return [
-        f"refine: --refine lowers the norm of {shares}:",
-        *command(["python -m synth", option("--vehicle", vehicle), *named, "--refine"]),
-    ]
-
-
-def ride_lines(rows: Sequence[Row], passive: float | None, road: str, given: str) -> list[str]:
-    """Returns the expected ride of every controller, and those that ride worse than the passive suspension; empty if unknown.
-
-    Args:
-        passive: ride of the passive suspension [m/s2], or None.
-        given: assumption on the forces, in words after a comma, or empty.
-    """
-    rides = {row.name: row.ride for row in rows if row.ride is not None}
-    if not rides:
-        return []
-    rides = ({"passive": passive} if passive is not None else {}) | rides
-    changes = {name: "" if not passive or name == "passive" else f" ({_change(ride / passive)})" for name, ride in rides.items()}
-    listed = ", ".join(f"{name} {ride:.3g}{changes[name]}" for name, ride in rides.items())
-    lines = [f"ride: expected weighted acceleration, {road}, of the ideal loop{given} [m/s2]: {listed}"]
-    worse = [name for name, ride in rides.items() if passive and ride > WORSE * passive]
-    lines += [f"ride: WORSE than passive: {', '.join(worse)}; the norm weighs other things than comfort"] if worse else []
-    return lines
-
-
-def _change(ratio: float) -> str:
-    return f"{100 * (ratio - 1):+.0f} %"
-
-
-def verdict_lines(rows: Sequence[Row]) -> list[str]:
-    """Returns the verdict: the controllers with claims that fail, and those that are unstable as implemented."""
-    wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
-    verdict = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
-    verdict = f"not every claim holds: {', '.join(wrong)}" if wrong else verdict
-    judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
-    lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
-    if lost:
-        verdict += f"; UNSTABLE as the computer runs it: {', '.join(lost)}"
-    grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
-    if grow:
-        verdict += f"; a law UNSTABLE by itself: {', '.join(grow)}"
-    return [verdict]
-
-
-def _at_least(share: float) -> str:
-    """A share in percent, cut after two digits."""
-    percents = 100 * share
-    digit = 10.0 ** (math.floor(math.log10(percents)) - 1)
-    return f"{math.floor(percents / digit) * digit:.2g} %"
-
-
-def _pole_lines(poles: Collection[complex]) -> list[str]:
-    """Returns lines on poles: pairs with undamped natural frequency and damping ratio, a line each, and real ones on one."""
-    start, pairs = "  poles ", [pole for pole in poles if pole.imag > 0]
-    numbers = [f"{pole.real:.4g} +- {pole.imag:.4g}j" for pole in pairs]
-    width = max(map(len, numbers), default=0)
-    lines = [
-        f"{number:{width}}  {abs(pole) / (2 * math.pi):.3g} Hz, damping {0.0 - pole.real / abs(pole):.2g}"
-        for number, pole in zip(numbers, pairs, strict=True)
-    ]
-    lines += wrapped("  ".join(f"{pole.real:.4g}" for pole in poles if not pole.imag), "", 0)
-    return [f"{start if not i else ' ' * len(start)}{line}" for i, line in enumerate(filter(None, lines))]
 
 
 def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:

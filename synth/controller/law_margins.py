@@ -20,14 +20,13 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import wrapped
+from models.common.printed import as_name, by_text
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
-FEW = 3  # warnings with a line of their own; more share a paragraph
 FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
 EXACT = 1e-9  # relative to the distance from 1: of a factor at which the loop becomes unstable
 
@@ -76,11 +75,6 @@ class LawMargins:
         return ", ".join(texts)
 
     @property
-    def warning(self) -> str:
-        """The warning of short answers: the instability of the law or else its small margins; empty without either."""
-        return self.instability or self.small
-
-    @property
     def record(self) -> dict[str, Any]:
         """The margins as JSON holds them; None for a gain margin that is not small, and for margins that do not exist."""
         return {
@@ -106,33 +100,15 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
     return LawMargins(law.growth, where, gain, gain_lower, disk)
 
 
-def warning_lines(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs."""
-    alike: dict[str, list[str]] = {}
-    for name, one in margins.items():
-        if one.warning:
-            alike.setdefault(one.warning, []).append(name)
-    if len(alike) <= FEW:
-        return [line for warning, names in alike.items() for line in wrapped(warning, f"{', '.join(names)}: ", 4)]
-    grow, small = _warned(margins)
+def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
+    """Returns a sentence on the laws that are unstable by themselves, and another on small margins of the other laws."""
+    grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
-    rates = ", ".join(f"{name} (+{one.growth:.4g} 1/s)" for name, one in grow.items())
-    pairs = ", ".join(f"{name} {one.pair}" for name, one in small.items())
-    lines = wrapped(rates, f"unstable by itself{''.join(clipped)}: ", 4) if grow else []
-    return [*lines, *(wrapped(pairs, "gain/disk margin: ", 4) if small else [])]
-
-
-def names_of_warnings(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns the names of the controllers that `warning_lines` warns of, for an answer without room; arguments as there."""
-    grow, small = _warned(margins)
-    texts = [f"{what}: {', '.join(some)}" for what, some in (("unstable by itself", grow), ("small margins", small)) if some]
-    return wrapped("; ".join(texts), hang=4) if texts else []
-
-
-def _warned(margins: Mapping[str, LawMargins]) -> tuple[dict[str, LawMargins], dict[str, LawMargins]]:
-    """Returns those that are unstable by themselves, and of the others those with small margins."""
-    grow = {name: one for name, one in margins.items() if one.instability}
-    return grow, {name: one for name, one in margins.items() if one.small and name not in grow}
+    rates = ", ".join(f"{as_name(name)} (+{one.growth:.4g} 1/s)" for name, one in grow.items())
+    small = by_text((name, one.pair) for name, one in margins.items() if one.small and name not in grow)
+    pairs = "; ".join(f"{names} {pair}" for pair, names in small.items())
+    texts = [f"Unstable by itself{''.join(clipped)}: {rates}"] if grow else []
+    return [*texts, *([f"Small gain/disk margins: {pairs}"] if pairs else [])]
 
 
 def unstable_by_itself(driver: AnyController) -> bool:

@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 
 from models import USUAL_TIMESTEP
-from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.printed import finite, matrix, percent
+from models.common.printed import as_name, finite, percent
 from models.document.field import Field
 from models.kinds.signals import load_signal
-from models.laws.linear import LinearLaw
+from models.laws.linear import LinearLaw, gain_text
 from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
+from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
 from synth.controller.law_margins import law_margins
@@ -27,12 +26,15 @@ SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the dis
 ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
 
 
-BOUND = Field[Certificate]("bound", lambda one: one.bound, ".7g", key="bound")
-NORM = Field[Certificate]("norm", lambda one: one.norm.value, ".7g", key="norm")
-PEAK = Field[Certificate]("at rad/s", lambda one: one.norm.peak_frequency, ".5g", key="peak_frequency")
-LOWER_BOUND = Field[Certificate]("lower bound", lambda one: one.lower_bound, ".7g", key="lower_bound")
+BOUND = Field[Certificate]("bound", lambda one: one.bound, NORM_DIGITS, key="bound")
+NORM = Field[Certificate]("norm", lambda one: one.norm.value, NORM_DIGITS, key="norm")
+PEAK = Field[Certificate]("peak", lambda one: one.norm.peak_frequency, ".5g", 1 / (2 * math.pi), "peak_frequency", "Hz")
+LOWER_BOUND = Field[Certificate]("lower bound", lambda one: one.lower_bound, NORM_DIGITS, key="lower_bound")
 GAP = Field[Certificate]("above it", lambda one: one.gap, percent, key="gap")
-SLOWEST_POLE = Field[Certificate]("slowest pole", lambda one: one.own.worst.real, ".4g")
+SLOWEST_POLE = Field[Certificate]("slowest pole", lambda one: one.own.worst.real, ".4g", unit="1/s")
+SAMPLED = Field[SampledNorm]("sampled", lambda one: one.value if one.stable else "UNSTABLE", NORM_DIGITS)
+REACHED = Field[SampledNorm]("reached by a road", lambda one: one.reached, NORM_DIGITS)
+APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
@@ -75,28 +77,6 @@ def proof_object(norm: SampledNorm) -> dict[str, Any]:
     }
 
 
-def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | None) -> list[str]:
-    """Returns the norm in words, compared with that of the ideal loop; empty if the norm is None."""
-    if norm is None:
-        return []
-    if not norm.stable:
-        return [f"sampled norm infinite: UNSTABLE with {built_words(vehicle)}"]
-    ideal = controller.certificate.norm.value
-    # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
-    alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
-    more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
-    noisy = any(controller.hardware.noise)
-    noise = ", with the noise of its measurements" if noisy else ""
-    which = "a road with noise" if noisy else "a road"
-    lines = [
-        f"sampled norm {norm.value:.7g}{more}{noise}",
-        f"it is less than {norm.upper:.9g} by level sets, and {which} reaches {norm.reached:.9g} of it",
-    ]
-    if norm.inside:
-        lines.append("it is decided within one sample period: no controller at this rate has less")
-    return lines
-
-
 def built_words(vehicle: Vehicle) -> str:
     """Returns the linear parts of an implementation, which its norm takes into account, in words."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
@@ -107,18 +87,18 @@ def sampled_lines(vehicle: Vehicle) -> list[str]:
     """Returns the explanation of the column "sampled" in a table of norms, if it has one."""
     if vehicle.implementation.undelayed:
         return []
-    return [f"sampled is the norm of the loop as built, with the motion between its samples: {built_words(vehicle)}"]
+    return [f"The column sampled is the norm of the sampled-data loop, with the motion between samples: {built_words(vehicle)}."]
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns the failures of a sampled norm, in words."""
     if norm is None or not norm.stable:
         return ()
-    if norm.reached > norm.upper:
-        return (f"the sampled norm is not less than {norm.upper:.12g}: a disturbance reaches {norm.reached:.12g}",)
-    if norm.gap <= ROUTES_AGREE:
+    if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
         return ()
-    return (f"the sampled norm {norm.value:.9g} and what a disturbance reaches of it differ by {norm.gap:.0e}",)
+    which = "is below" if norm.reached > norm.upper else "differs from"
+    reached = f"the gain that a disturbance reaches, by {APART.cell(norm)} of it"
+    return (f"the sampled norm {SAMPLED.cell(norm)} {which} {reached}",)
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
@@ -173,14 +153,13 @@ def false_norm(
     norm = norm_of_loop()
     if norm is not None and abs(norm.value - said) <= SAME * said:
         return ()
-    claimed = f"the sampled norm is claimed to be {said:.10g}"
+    claimed = f"the sampled norm is claimed to be {SAMPLED.digits(said)}"
     if norm is None:
         return (f"{claimed}, and [implementation] has neither sample_period nor delay",)
-    is_now = f"{norm.value:.10g}" if norm.stable else "infinite"
-    return (f"{claimed}, and is {is_now} with {built_words(vehicle)}",)
+    off = f" ({APART.digits(abs(norm.value / said - 1))} off)" if norm.stable else ""
+    return (f"{claimed}, and is {SAMPLED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
-IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
 SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 
@@ -188,9 +167,8 @@ SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 def heading_lines(controller: Controller) -> list[str]:
     """Returns the lines with a controller's measured signals and its gain."""
     measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
-    if not controller.measured:
-        return [measures, "  no control force"]
-    return [measures, *law_lines(controller.law, "  gain ", "  law "), *preview_lines(controller, "  ")]
+    law = law_text(controller.law) if controller.measured else "no control force"
+    return [measures, f"  {law}", *preview_lines(controller, "  ")]
 
 
 def preview_lines(controller: Controller, start: str) -> list[str]:
@@ -198,14 +176,18 @@ def preview_lines(controller: Controller, start: str) -> list[str]:
     return [f"{start}answers the road {controller.ahead:g} s ahead, too"] if controller.preview is not None else []
 
 
-def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
-    """Returns the lines of a law after some text: a static one as its gain, others by their states and poles."""
-    if not law.states:
-        return gain_lines(law.D, gain)
+def law_text(law: LinearLaw) -> str:
+    """Returns a static law as its gain, and others by their equations, or their gains as a PI or PID law."""
     from models.laws.law_structure import pid_text
 
-    pid = pid_text(law)
-    return [f"{of_states}{law.text}", *([f"{of_states}{pid}"] if pid else [])]
+    if not law.states:
+        return f"gain {gain_text(law.D)}"
+    return "; ".join(filter(None, (law.text, pid_text(law))))
+
+
+def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
+    """Returns the line of a law after some text: one for a static law, another for other laws."""
+    return [f"{of_states}{law_text(law)}" if law.states else f"{gain}{gain_text(law.D)}"]
 
 
 def pid_line(controller: Controller) -> str:
@@ -230,11 +212,6 @@ def sign_note(controller: Controller) -> str:
     )
 
 
-def gain_lines(gain: Array, start: str) -> list[str]:
-    """Returns the lines of a gain matrix after some text, a row to a line."""
-    return matrix(start, [[f"{entry:.6g}" for entry in row] for row in gain])
-
-
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the second disturbance, road twist, if the vehicle has one."""
     model = vehicle.linear_model
@@ -247,30 +224,29 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
-        f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
-        f"1 m counts as {model.twist_rate:.4g} m/s (docs/built-in-vehicles.md)"
+        "The disturbance w is the road's velocity under every wheel and the height of its "
+        f"{listing(felt)}: 1 m counts as {model.twist_rate:.4g} m/s."
     ]
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
-    names = [one.name for one in controllers if one.hardware != NOMINAL]
+    names = [as_name(one.name) for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
-    but = f", but for the {what} that {', '.join(names)} {'ask' if len(names) > 1 else 'asks'} for" if names else ""
-    texts = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
+    but = f", except for the {what} that {', '.join(names)} {'include' if len(names) > 1 else 'includes'}" if names else ""
+    texts = [] if vehicle.ideal else [f"{OF} the ideal loop: continuous, without [limits] and [implementation]{but}."]
     if vehicle.dampers and any(one.law.acts for one in controllers):
-        lag = ", and know no lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
-        texts.append(
-            f"bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them{lag}"
-        )
+        lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
+        texts.append(f"{OF} a loop whose semi-active dampers give every force{lag}.")
     if vehicle.fitted:
         from models.suspension.fitted_curves import lines_at_rest
 
         slopes = lines_at_rest(vehicle.fitted)
-        texts += [f"bound, norm and poles are of the lines of [curves] at rest: {slopes}"] if slopes else []
+        texts += [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []
     return texts
 
 
+OF = "Bound, norm and poles are those of"
 IDLE_INTEGRAL = (
     "its integral is a pole at 0 that stays in the loop, as no constant force changes what it measures for long, or it moves no "
     "force; so there is no finite norm"

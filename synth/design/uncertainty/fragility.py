@@ -6,7 +6,7 @@ errors of the entries of its gain include an error of the force. With several fo
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,9 +14,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite, percent
+from models.document.field import Field
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
+from synth.analysis.specification import digits
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search
@@ -253,33 +255,40 @@ def whose(report: Fragility) -> str:
     return "readings and forces" if len(report.stable.forces) > 1 else "readings"
 
 
+ERROR = Field[float]("error", lambda share: share, ".4g", 100, unit="%")
+
+
 def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """The errors that do more than they may, in percent."""
+    """Returns the harmful errors by signal; for a harmless margin, those along the worst ray."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
-    return ", ".join(f"{name} {100 * error:+.4g} %" for name, error in named if abs(error) > NOTHING) or "none"
+    return ", ".join(f"{name} {SIGNED.text(error)}" for name, error in named if abs(error) > NOTHING) or "none"
+
+
+SIGNED = replace(ERROR, form="+.4g")
 
 
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
     """Returns the fragility of a law as a sentence."""
-    stable, text = report.stable, "fragile: "
+    stable = report.stable
+    text = f"fragile: no errors of {whose(report)} up to 100 % were found that make it unstable"
     if math.isfinite(stable.smallest_violation):
         errors = errors_text(stable, measured, forces)
-        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % ({errors}); "
-    else:
-        text += f"no errors of {whose(report)} up to 100 % were found that make it unstable; "
-    return text + proved_text(report)
+        text = f"fragile: unstable with errors of {whose(report)} of {ERROR.text(stable.smallest_violation)} ({errors})"
+    return f"{text}; {proved_text(report)}"
 
 
 def proved_text(report: Fragility, norms: bool = True) -> str:
     """Returns the proved margins in words, those of the norm if requested."""
-    stable = report.stable
-    text = "that it is stable with errors is not proved"
-    if stable.proved_margin:
-        text = f"stable with each off by up to {100 * stable.proved_margin:.4g} %, which is proved"
+    proved = report.stable.proved_margin
+    text = (
+        f"stable with each off by up to {ERROR.text(proved)}, which is proved"
+        if proved
+        else "stability with errors is not proved"
+    )
     for share, one in report.within.items() if norms else ():
-        beyond = f", and not at {100 * one.smallest_violation:.4g} %" if math.isfinite(one.smallest_violation) else ""
-        text += f"; the norm within {100 * share:g} % "
-        text += f"up to {100 * one.proved_margin:.4g} %{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
+        beyond = f", and not at {ERROR.text(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
+        text += f"; the norm within {ERROR.text(share)} "
+        text += f"up to {ERROR.text(one.proved_margin)}{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
     return text
 
 
@@ -287,11 +296,8 @@ def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
     """Returns the effect of rounded coefficients on the norm as a sentence."""
     said = []
     for name, one in rounding.items():
-        if not one.stable:
-            said.append(f"{name} UNSTABLE")
-            continue
-        bound = f", proved below {one.bound:.7g}" if one.bound is not None else ""
+        bound = f", proved below {digits(one.bound)}" if one.bound is not None else ""
         share = one.norm.value / norm - 1
         change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
-        said.append(f"{name} {one.norm.value:.7g} ({change}{bound})")
+        said.append(f"{name} {digits(one.norm.value)} ({change}{bound})" if one.stable else f"{name} UNSTABLE")
     return f"norm with the law's numbers as {'; as '.join(said)}"

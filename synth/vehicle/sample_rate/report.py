@@ -2,67 +2,79 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import first_few
-from models.common.printed import finite, percent, table, wrapped
+from models.common.printed import by_text, finite, percent
+from models.document.document import Detail, Document, Table, notes, statements
+from models.document.field import Field
 from models.document.figure import Curve, Dash, Figure, Panel
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm
-from synth.controller.report import norm_failures, proof_object
+from synth.controller.report import LOWER_BOUND, NORM, SAMPLED, norm_failures, proof_object
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
-LITTLE = 1e-2  # relative: the slowest rate that costs no more is spoken of
+LITTLE = 1e-2  # relative: a rate that costs no more is cheap
 SAME = 5e-9  # relative: what is nearer to the continuous norm is it
+FEW = 2  # controllers with a table each; those of more would not fit a terminal
+Kind = Callable[[AtRate], SampledNorm | None]  # one of the norms at a rate
+KINDS: dict[str, Kind] = {"at once": lambda at: at.undelayed_norm, "late": lambda at: at.late, "designed": lambda at: at.designed}
 
 
-def cost_lines(one: Cost, lag: str = "") -> list[str]:
-    """Returns a line for each rate of a controller; `lag` describes the lag of the actuators, or is empty."""
-    ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
-    bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
-    designs = _has_designs(one)
-    rows: list[tuple[str, ...]] = [
-        ("sample", "rate", "at once", "change", "late", "change", *("designed", "change")[: 2 * designs])
+def describe(costs: Sequence[Cost], lag: str = "") -> Document:
+    """Returns the cost of low sample rates as a document: a row for each controller, and a table for each.
+
+    Args:
+        lag: lag of the actuators in words, or empty.
+    """
+    kinds = [name for name in KINDS if name != "designed" or any(_has_designs(one) for one in costs)]
+    fields = [
+        Field[Cost]("controller", lambda one: one.controller.name),
+        Field[Cost]("cheap [Hz]", lambda one: HERTZ.digits(1 / _cheap(one).period)),
+        *(Field[Cost](name, lambda one, kind=KINDS[name]: _loss(one, kind, _cheap(one))) for name in kinds),
+        Field[Cost]("lost [Hz]", lambda one: _lost(one.lost)),
+        Field[Cost]("lost late", lambda one: _lost(one.lost_late)),
     ]
-    for at in one.rates:
-        norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
-        cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
-        rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
-    loop = f"in continuous time{', with ' if lag else ''}{lag}"
-    first = wrapped(f"controller {one.controller.name}: {loop}{':' if lag else ''} {ideal}{bound}", hang=4)
-    return [*first, *table(rows), *_undesigned_lines(one), *_previews([one])]
+    alone = [one.controller.name for one in costs if one.controller.preview is not None]
+    texts = statements((name, "the norm is that of the feedback alone, without the road ahead") for name in alone)
+    plain = lag and any(one.controller.hardware.bandwidth is None for one in costs)
+    texts += [*notes(*(about(costs[0], lag if plain else "", "designed" in kinds) for _ in costs[:1]))]
+    caption = "The slowest sample rate that is cheap, its change of the norm, and the highest rate without stability."
+    tables = [_table(one, lag, "normal" if len(costs) <= FEW else "full") for one in costs]
+    return Document("Sample rates", (Table.of("rates", caption, fields, costs, detail="brief"), *texts, *tables))
 
 
-def short_lines(costs: Sequence[Cost]) -> list[str]:
-    """Returns a row for each of many controllers: what the slowest cheap rate costs, and at which rates the loop is lost."""
-    designs = any(_has_designs(one) for one in costs)
-    headings = ("controller", "norm", "cheap at", "change", "late", *("anew",) * designs, "lost at", "late")
-    rows: list[tuple[str, ...]] = [headings]
-    for one in costs:
-        at = _spoken(one)
-        norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
-        losses = [_cells(one, norm) if norm is not None else ("", "-") for norm in norms]
-        lost = ["-" if math.isinf(period) else _highest_lost(period) for period in (one.lost, one.lost_late)]
-        ideal = f"{one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
-        rows.append((one.controller.name, ideal, f"{1 / at.period:.4g} Hz", *(loss or norm for norm, loss in losses), *lost))
-    about = (
-        f"cheap at: the slowest of these rates that costs {percent(LITTLE)} or less at once, or else the fastest; "
-        f"late: the forces act {late(costs[0])}; {'anew: designed for the loop of that rate, at once; ' if designs else ''}"
-        f"%: of the norm in continuous time; lost at: the highest rate at which the loop is unstable, -: none down to "
-        f"{1 / LONGEST_PERIOD:g} Hz; -v: every rate"
+def about(one: Cost, lag: str, designs: bool) -> str:
+    """Returns the explanation of the columns; `lag` is that of the actuators in words, which the design table leaves out."""
+    designed = "designed: with a gain designed for this rate; " if designs else ""
+    text = (
+        f"cheap: the slowest rate that raises the norm by {percent(LITTLE)} or less, or the fastest. at once, late: change of "
+        f"the norm with forces that act at once, or {late(one)}; {designed}lost: highest unstable rate, - if "
+        f"none down to {1 / LONGEST_PERIOD:g} Hz."
     )
-    return [*table(rows), *wrapped(about, "  ", 2), *_previews(costs)]
+    return f"{text} Norms include {lag}; those of the design table do not." if lag else text
 
 
-def _previews(costs: Sequence[Cost]) -> list[str]:
-    """Returns a line that lists the controllers whose norms ignore their preview; empty if there are none."""
-    names = [one.controller.name for one in costs if one.controller.preview is not None]
-    return [f"  {', '.join(names)}: of the feedback alone, without the road ahead"] if names else []
+def _table(one: Cost, lag: str, detail: Detail) -> Document:
+    """Returns the document of a controller: its norm at each rate."""
+    ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
+    bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
+    name = one.controller.name
+    title = f"controller {name}: norm in continuous time{', with ' if lag else ''}{lag} {ideal}{bound}"
+    fields = [RATE, *(Field[AtRate](label, partial(_cell, one, KINDS[label])) for label in [*KINDS][: 2 + _has_designs(one)])]
+    table = Table.of(f"rates-{name}", "The norm at each rate, and its change from continuous time.", fields, one.rates)
+    missing = by_text((f"{1e3 * at.period:g} ms", re.split("[:;]", at.undesigned)[0]) for at in one.rates if at.undesigned)
+    return Document(title, (table, *notes(*(f"no design at {rates}: {why}" for why, rates in missing.items()))), detail)
+
+
+RATE = Field[AtRate]("sample", lambda at: f"{1e3 * at.period:g} ms ({HERTZ.text(1 / at.period)})")
+HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
 
 
 def _has_designs(one: Cost) -> bool:
@@ -70,44 +82,41 @@ def _has_designs(one: Cost) -> bool:
     return any(at.designed is not None or at.undesigned for at in one.rates)
 
 
-def _undesigned_lines(one: Cost) -> list[str]:
-    """Returns a line for each reason of missing designs: what happened, without cause and remedy."""
-    missing: dict[str, list[AtRate]] = {}
-    for at in one.rates:
-        if at.undesigned:
-            missing.setdefault(re.split("[:;]", at.undesigned)[0], []).append(at)
-    return [line for why, rates in missing.items() for line in wrapped(f"  not designed for {_named(rates)}: {why}")]
+def _cheap(one: Cost) -> AtRate:
+    """Returns the slowest rate that costs little, or else the fastest."""
+    cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
+    return cheap[-1] if cheap else one.rates[0]
 
 
-def about_lines(costs: Sequence[Cost], lag: str = "") -> list[str]:
-    """Returns the explanation of the columns; `lag` is that of the actuators in words, empty without."""
-    designs = any(_has_designs(one) for one in costs)
-    more = "; designed: anew, for the loop of that rate with forces that act at once" if designs else ""
-    change = "change: by how much the norm lies above that in continuous time, with a minus below it"
-    plain = any(one.controller.hardware.bandwidth is None for one in costs)
-    table_is = "; the design table of `python -m synth` has norms without that lag" if lag and plain else ""
-    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {change}{table_is}", hang=2)]
+def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
+    """Returns by how much a norm is above the continuous one, with its sign; "UNSTABLE", or empty if that one is infinite."""
+    norm = kind(at)
+    if norm is None or not norm.stable:
+        return "UNSTABLE" if norm is not None else "-"
+    loss = one.loss(norm)
+    sign = "-" if loss < -SAME else "+" if loss > SAME else ""
+    return f"{sign}{percent(abs(loss) if sign else 0.0)}" if math.isfinite(loss) else ""
+
+
+def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
+    """Returns a norm and its loss."""
+    norm, loss = kind(at), _loss(one, kind, at)
+    if norm is None or not norm.stable:
+        return loss
+    return SAMPLED.cell(norm) + (f" ({loss})" if loss else "")
+
+
+def _lost(period: float) -> str | None:
+    """Returns the highest unstable rate: the fastest of all if no rate is stable, as a period of 0 means; None if all are."""
+    return None if math.isinf(period) else LOST.digits(1 / (period or SHORTEST))
+
+
+LOST = replace(HERTZ, form=".3g")
 
 
 def late(one: Cost) -> str:
     """Returns the delay of the late forces, in words."""
     return delay_text(one.delay)
-
-
-def sentence(one: Cost) -> list[str]:
-    """Returns the result as a sentence, wrapped into lines."""
-    name = one.controller.name
-    if not math.isfinite(one.ideal):
-        stable = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
-        text = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
-        return wrapped(f"{text}; {_ends(one)}" if stable else text, hang=4)
-    if not one.controller.law.acts:
-        return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
-    at = _spoken(one)
-    text = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
-    if at.designed is not None:
-        text += f"; designed for it {_costs(one, at.designed)}"
-    return wrapped(f"{text}; {_ends(one)}", hang=4)
 
 
 def failures(one: Cost) -> list[str]:
@@ -148,58 +157,6 @@ def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
     if not norm.stable:
         return None
     return {"value": norm.value, "loss": finite(one.loss(norm)), **proof_object(norm)}
-
-
-def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
-    """A norm, and by how much it is above the continuous one."""
-    if not norm.stable:
-        return "UNSTABLE", ""
-    loss = one.loss(norm)
-    if not math.isfinite(loss):
-        return f"{norm.value:.7g}", ""
-    return f"{norm.value:.7g}", f"{'-' if loss < -SAME else '+'}{percent(abs(loss))}" if abs(loss) > SAME else "0 %"
-
-
-def _spoken(one: Cost) -> AtRate:
-    """The slowest rate that costs little, or else the fastest."""
-    cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
-    return cheap[-1] if cheap else one.rates[0]
-
-
-def _costs(one: Cost, norm: SampledNorm) -> str:
-    if not norm.stable:
-        return "is unstable"
-    loss = one.loss(norm)
-    return f"{'loses' if loss >= 0 else 'gains'} {percent(abs(loss) if abs(loss) > SAME else 0.0)}"
-
-
-def _ends(one: Cost) -> str:
-    """Returns the stability limits without and with delay, in words."""
-    if math.isinf(one.lost) and math.isinf(one.lost_late):
-        return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    slower_prompt = [at for at in one.rates if at.period > one.lost and at.undelayed_norm.stable]
-    slower_late = [at for at in one.rates if at.period > one.lost_late and at.late.stable]
-    return f"at once it {_lost(one.lost, slower_prompt)}, {late(one)} it {_lost(one.lost_late, slower_late)}"
-
-
-def _lost(period: float, again: Sequence[AtRate]) -> str:
-    """Returns the highest unstable rate in words, and the slower rates of the table that are stable again."""
-    if math.isinf(period):
-        return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    text = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
-    if not again:
-        return text
-    return f"{text} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
-
-
-def _highest_lost(period: float) -> str:
-    """Returns the highest unstable rate, in words: the fastest of all if no rate is stable, as a period of 0 says."""
-    return f"{1 / period:.3g} Hz" if period else f"{1e-3 / SHORTEST:g} kHz"
-
-
-def _named(rates: Sequence[AtRate]) -> str:
-    """Returns the sample periods of the first few rates, in words."""
-    return first_few([f"{1e3 * at.period:g} ms" for at in rates])
 
 
 POINTS = 60  # of a curve
