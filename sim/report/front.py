@@ -1,12 +1,13 @@
 """The section of a report on a trade-off: the front, its proved lower bound, and the values measured in MuJoCo at some points."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import as_name, cell
-from models.document.document import Document, Table, notes
+from models.document.document import Document, notes
+from models.document.field import Field
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle
@@ -20,13 +21,12 @@ from synth.analysis.norm import largest_singular_values, transfer_matrix
 from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
-from synth.controller.report import judged_lines
 from synth.plant.numerics import DesignError
 from synth.vehicle.multi_objective import weighing
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of
 from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
-from synth.vehicle.trade_off.report import front_figure, sentences
+from synth.vehicle.trade_off.report import describe
 
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
 TURN = 0.005  # rad of the sinusoid in a step
@@ -60,30 +60,19 @@ def front_section(scope: Scope) -> Document:
         return Document(TITLE, notes(f"There is no trade-off: of {trade_off.tried} designs no claim could be proved."))
     measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
     norms = np.array([trade_off.points[i].values for i in trade_off.marked])
-    meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
-    text = [
-        f"Static gains on what {as_name(name)} measures; {'; '.join((*meanings, *judged_lines(trade_off.points[0].controller)))}."
-    ]
-    text.append(f"{'; '.join(sentences(trade_off))}.")
+    document, texts = describe(trade_off, measured), []
     with np.errstate(all="ignore"):
         shares = (measured / norms)[np.isfinite(measured) & (norms > 0)]
     if len(shares):
-        together = ", all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
-        text.append(
-            f"MuJoCo, driven on a sinusoid where each norm is reached{together}: {100 * shares.min():.2f} to "
-            f"{100 * shares.max():.2f} % of the norm of the continuous loop. Steps are so short that the sinusoid turns by "
-            f"{TURN:g} rad in each at most, for what forces and road lose by being held."
+        together = ", with all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
+        texts.append(
+            f"MuJoCo reaches {SHARE.digits(shares.min())} to {SHARE.digits(shares.max())} % of the continuous norms on the "
+            f"sinusoid where each norm is reached{together}. In a timestep the sinusoid turns by at most {TURN:g} rad."
         )
-    headings = ["point", *(heading for axis in axes for heading in (axis.name, f"{axis.name}, MuJoCo")), "gain"]
-    rows = []
-    for i, row in zip(trade_off.marked, measured, strict=True):
-        pairs = zip(trade_off.points[i].norms, row.tolist(), strict=True)
-        cells = [text for norm, value in pairs for text in (f"{norm.value:.6g}", cell(value, ".5g"))]
-        gain = " ".join(f"{entry:.5g}" for entry in trade_off.points[i].controller.gain.ravel())
-        rows.append((str(i + 1), *cells, gain))
-    caption = "Some of the designs: their norms, as proved and as measured, and their gains."
-    table = Table("front", caption, tuple(headings), tuple(rows))
-    return Document(TITLE, (*notes(*text), front_figure(trade_off, measured), table))
+    return replace(document, blocks=(*document.blocks, *notes(*texts)))
+
+
+SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:

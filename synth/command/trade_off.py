@@ -8,18 +8,20 @@ from dataclasses import replace
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import together
-from models.common.printed import Stages, Whole, say, titled, wrapped
+from models.common.printed import Stages, say, titled
 from models.document.outputs import check_outputs, written, written_lines
 from models.document.picture import write_picture
+from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
 from synth.command.save import check_save, save
 from synth.plant.numerics import DesignError
 from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.continuation import rays_of
-from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
-from synth.vehicle.trade_off.report import front_figure, front_lines, front_object, sentences, short_lines, write_csv
+from synth.vehicle.trade_off.front import DESIGNS, MARKED, Front, entry_of, front
+from synth.vehicle.trade_off.report import describe, front_figure, front_object, write_csv
 
 USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
+SHOWN = 3  # points of a short table
 SAVED = "point"  # in the name of a saved one: I_point_17
 
 
@@ -71,10 +73,14 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
         print(json.dumps(result, allow_nan=False))
     else:
-        shown = ["", *front_lines(trade_off)] if options.verbose else short_lines(trade_off)
-        lines = [*titled(vehicle.kind.name, vehicle.source), *shown, *written_lines(outputs)]
-        lines += ["", "saved", Whole(f"  {saved}")] if saved else []
-        say([*lines, "", *(part for line in sentences(trade_off) for part in wrapped(line, hang=4))])
+        title, document = (
+            titled(vehicle.kind.name, vehicle.source),
+            describe(trade_off, most=MARKED if options.verbose else SHOWN),
+        )
+        some = f"not every claim holds: {trade_off.unproved} designs are omitted"
+        verdict = some if trade_off.unproved else f"every claim holds for {len(trade_off.points)} designs"
+        end = [*written_lines({**outputs, "saved": options.save}), "", verdict]
+        say([*title, *screen_lines(replace(document, title=""), options.verbose, [*title, *end]), *end])
     return 1 if trade_off.unproved else 0
 
 

@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,94 +11,93 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.printed import finite, table, wrapped
+from models.common.printed import as_name, by_text, finite
+from models.document.document import Document, Table, notes
 from models.document.field import Field, json_object
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.vehicle.names import without_copies
+from synth.analysis.specification import NORM_DIGITS
 from synth.controller.report import BOUND, NORM, judged_lines
-from synth.vehicle.trade_off.front import AxisValue, Front, Point
+from synth.vehicle.trade_off.axes import AxisValue
+from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
-TRAVEL = Field[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
+TRAVEL = Field[Point]("bump travel", lambda point: point.travel, ".4g", 1e3, "bump_travel", "mm")
+VALUE = Field[AxisValue]("norm", lambda norm: norm.value, NORM_DIGITS)
+MUJOCO = Field[float]("MuJoCo", lambda gain: gain, ".5g")
 NUMBERS: tuple[Field[Point], ...] = (
     NORM.of(lambda point: point.controller.certificate),
     BOUND.of(lambda point: point.controller.certificate),
     TRAVEL,
 )
+Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and gain
 
 
-def front_lines(front: Front) -> list[str]:
-    """The axes, the marked points, the other controllers, and what bounds them."""
-    lines = []
-    for axis in front.axes:
-        lines += wrapped(f"{axis.name}: {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}", hang=2)
-    for text in judged_lines(front.points[0].controller):
-        lines += wrapped(text, hang=2)
-    names = [axis.name for axis in front.axes]
-    signals = front.points[0].controller.measured
-    with_travel = any(point.travel is not None for point in front.points)
-    rows: list[tuple[str, ...]] = [("point", *names, *([TRAVEL.title] * with_travel), "gain")]
-    for i in front.marked:
-        point = front.points[i]
-        travel = [TRAVEL.cell(point)] * with_travel
-        rows.append((str(i + 1), *(f"{value:.6g}" for value in point.values), *travel, _gain(point)))
-    lines += ["", f"controller {front.name}: static gains on {', '.join(signals)}", *table(rows)]
-    if front.others:
-        rows = [("beside them", *names), *((o.controller.name, *(f"{v:.6g}" for v in o.values)) for o in front.others)]
-        lines += ["", *table(rows)]
-    for name, why in front.missing.items():
-        lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
-    return [*lines, "", *(line for text in _limit_texts(front) for line in wrapped(text, hang=2))]
+def describe(front: Front, measured: Array | None = None, most: int = MARKED) -> Document:
+    """Returns the front as a document: what it spans, whom it beats, some of its points, and how near they are to the limits.
 
-
-SHOWN = 3  # points of a short table
-
-
-def short_lines(front: Front) -> list[str]:
-    """Returns the same in short: some of the marked points, no printed copies of controllers, the nearest point to each bound."""
-    signals, units = ", ".join(front.points[0].controller.measured), ", ".join(axis.label for axis in front.axes)
-    lines = wrapped(f"controller {front.name}: static gains on {signals}; -v: all", hang=2)
-    lines += wrapped(f"norms: {units}", hang=2)
-    rows: list[tuple[str, ...]] = [("point", *(axis.name for axis in front.axes), TRAVEL.title, "gain")]
-    marked = list(front.marked)
-    for k in dict.fromkeys(round(i) for i in np.linspace(0, len(marked) - 1, min(SHOWN, len(marked)))):
-        point = front.points[marked[k]]
-        rows.append((str(marked[k] + 1), *(f"{value:.6g}" for value in point.values), TRAVEL.cell(point), _gain(point)))
-    others = {one.controller.name: one.values for one in front.others}
-    rows += [(name, *(f"{value:.6g}" for value in others[name]), "", "") for name in without_copies(others)]
-    lines += table(rows)
-    for name, why in front.missing.items():
-        lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
-    for limit in front.limits:
-        first, second = (front.axes[k].name for k in limit.axes)
-        shares = limit.share(front.values[:, list(limit.axes)])
-        i = int(shares.argmin())
-        near = f"point {i + 1} is at {shares[i]:.5g} times what no controller beats in {first} and {second}"
-        lines += wrapped(f"limit: {near if math.isfinite(shares[i]) else f'nothing is proved of {first} and {second}'}", hang=2)
-    return lines
-
-
-def sentences(front: Front) -> list[str]:
-    """Returns the results, a sentence each."""
-    ends = ", ".join(
-        f"{axis.name} from {min(values):.5g} to {max(values):.5g}"
-        for axis, values in zip(front.axes, front.values.T.tolist(), strict=True)
-        if values
+    Args:
+        measured: values of the marked points in MuJoCo, shape (M, K), NaN for missing ones; None without runs.
+        most: number of marked points in the table.
+    """
+    shown = dict.fromkeys(round(i) for i in np.linspace(0, len(front.marked) - 1, min(most, len(front.marked))))
+    others = {one.controller.name: one for one in front.others}
+    rows: list[Row] = []
+    for k in shown:
+        i = front.marked[k]
+        rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
+    rows += [(name, others[name], None, "-") for name in without_copies(others)]
+    fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
+    for k, axis in enumerate(front.axes):
+        fields.append(VALUE.of(partial(_norm_on, k), axis.name))
+        if measured is not None:
+            fields.append(MUJOCO.of(partial(_measured_on, k), f"{axis.name}, MuJoCo"))
+    fields += [TRAVEL.of(_point)] if any(row[1].travel is not None for row in rows) else []
+    fields.append(Field("gain", lambda row: row[3]))
+    meanings = "; ".join(f"{axis.label}: {axis.meaning}" for axis in front.axes)
+    controller = front.points[0].controller
+    caption = "Points of the front and other controllers: proved norms and gains."
+    return Document(
+        "Trade-off between objectives",
+        (
+            *notes(*_results(front), detail="brief"),
+            *notes(f"All designs are static gains on {', '.join(controller.measured)}. {meanings}.", *judged_lines(controller)),
+            Table.of("front", caption, fields, rows, detail="brief"),
+            front_figure(front, measured),
+            *notes(*_limit_texts(front), detail="brief"),
+            *notes(*(f"{as_name(name)} is not shown: {why}" for name, why in front.missing.items())),
+        ),
     )
-    lines = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}"]
-    if front.unproved:
-        lines.append(f"left out: {front.unproved} designs of which a claim could not be proved")
-    by: dict[tuple[int, int], list[str]] = {}
-    unbeaten = []
+
+
+def _point(row: Row) -> Point:
+    return row[1]
+
+
+def _norm_on(k: int, row: Row) -> AxisValue:
+    return row[1].norms[k]
+
+
+def _measured_on(k: int, row: Row) -> float | None:
+    return None if row[2] is None else float(row[2][k])
+
+
+def _results(front: Front) -> list[str]:
+    """Returns the range of the front on each axis, and how many designs are better than each other controller in all axes."""
+    columns = zip(front.axes, front.values.T, strict=True)
+    ends = ", ".join(f"{axis.name} from {_value(values.min())} to {_value(values.max())}" for axis, values in columns)
+    beaten = {}
     for one in front.others:
-        beaten = [i for i, point in enumerate(front.points) if _beats(point.values, one.values)]
-        if beaten:
-            by.setdefault((len(beaten), beaten[len(beaten) // 2] + 1), []).append(one.controller.name)
-        else:
-            unbeaten.append(one.controller.name)
-    for (count, example), names in by.items():
-        lines.append(f"{', '.join(names)}: beaten in all by {count} of them, e.g. point {example}")
-    return [*lines, f"{', '.join(unbeaten)}: beaten in all by none"] if unbeaten else lines
+        better = [i + 1 for i, point in enumerate(front.points) if _beats(point.values, one.values)]
+        beaten[one.controller.name] = f"{len(better)} (such as point {better[len(better) // 2]})" if better else "none"
+    texts = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}."]
+    texts += [f"{front.unproved} other designs are omitted, because a claim could not be proved."] if front.unproved else []
+    alike = ", ".join(f"than {names} {text}" for text, names in by_text(beaten.items()).items())
+    return [*texts, f"Designs that are better in all axes: {alike}."] if alike else texts
+
+
+def _value(value: float) -> str:
+    return VALUE.digits(float(value))
 
 
 def front_object(front: Front) -> dict[str, Any]:
@@ -174,20 +174,19 @@ def _limit_texts(front: Front) -> list[str]:
         first, second = (front.axes[k].name for k in limit.axes)
         shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
-        if math.isfinite(shares[i]):
-            texts.append(
-                f"limit: no controller, whatever it measures, comes below the line of {first} and {second}; point {i + 1} is "
-                f"nearest to it, at {shares[i]:.5g} times its distance from the origin"
-            )
-        else:
-            texts.append(f"limit: nothing is proved of {first} and {second} together")
+        near = f"point {i + 1} is nearest, at {MUJOCO.digits(float(shares[i]))} times the line of {first} and {second}"
+        no = f"nothing is proved about {first} and {second} together"
+        texts.append(f"Limit: {f'{near} that no controller crosses' if math.isfinite(shares[i]) else no}.")
     return texts
+
+
+ENTRY = Field[float]("entry", lambda entry: entry, ".6g")
 
 
 def _gain(point: Point) -> str:
     """All entries where they fit on a line."""
     entries = point.controller.gain.ravel()
-    return " ".join(f"{entry:.6g}" for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
+    return " ".join(ENTRY.digits(float(entry)) for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
 
 
 def _indices(front: Front) -> list[tuple[int, int]]:
@@ -253,7 +252,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         label = "MuJoCo on one sinusoid, which reaches the norm from below"
         curves.append(Curve(measured[:, i], measured[:, j], label, MEASURED, "none", "x", name="MuJoCo"))
-    away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
+    away = [f"{name} ({_value(x)}, {_value(y)})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
     title = f"{front.axes[i].name} and {front.axes[j].name}".replace("_", " ")
     if away:
         title += f"; beyond: {', '.join(away)}"
