@@ -9,7 +9,7 @@ import re
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -78,11 +78,6 @@ def size(rows: list[Any]) -> str:
 def pasted(words: Sequence[str]) -> str:
     """Returns a command as one line, its words quoted for a shell."""
     return shlex.join(words)
-
-
-def option(name: str, value: str) -> str:
-    """Returns an option with its value, as one word if the value begins with "-"."""
-    return pasted([f"{name}={value}"] if value.startswith("-") else [name, value])
 
 
 def pasted_path(path: Path) -> str:
@@ -155,20 +150,6 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
     return lines
 
 
-def on_a_screen(parts: Mapping[str, list[str]], shorter: Iterable[Mapping[str, list[str]]]) -> dict[str, list[str]]:
-    """Returns the parts of an answer, with as many of them replaced, one step after another, as a terminal has no room for.
-
-    Args:
-        parts: the lines of each part, by name.
-        shorter: steps, each with the lines that replace parts.
-    """
-    shown = dict(parts)
-    for step in shorter:
-        if len(fitted(line for part in shown.values() for line in part)) > LINES:
-            shown |= step
-    return shown
-
-
 def titled(title: str, source: str) -> list[str]:
     """Returns a title, and below it the path of its source."""
     return [title, Whole(f"{GAP}{source}")]
@@ -193,16 +174,6 @@ def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
         glued, WIDTH, initial_indent=start, subsequent_indent=" " * hang, break_long_words=False, break_on_hyphens=False
     )
     return [line.replace(GLUE, " ") for line in lines] or [start.rstrip()]
-
-
-def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
-    """Returns a matrix after some text, one row per line."""
-    lines: list[str] = []
-    for i, row in enumerate(rows):
-        open_, close = "[[" if i == 0 else " [", "]]" if i == len(rows) - 1 else "],"
-        start = text if i == 0 else " " * len(text)
-        lines += wrapped(open_ + ", ".join(row) + close, start, len(text) + 2)
-    return lines
 
 
 def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = False) -> list[str]:

@@ -12,6 +12,7 @@ from models.common.printed import WIDTH, as_name, finite, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
 from models.document.field import Field, json_object
 from models.laws.linear import FEWER, gain_text
+from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, Definiteness, LmiProof
@@ -180,10 +181,10 @@ EXPLANATION = (
 
 def _difference(row: Row) -> str:
     """Returns the difference of both norms in words; "-" if they are of different signals or infinite."""
-    certificate = row.certificate
-    if certificate is None or not certificate.stable or row.sampled is None or not row.sampled.stable:
+    one, norm = row.controller, row.sampled
+    if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
-    return relative_difference_text(row.sampled.value, certificate.norm.value)
+    return relative_difference_text(norm.value, one.certificate.norm.value)
 
 
 NORMS: tuple[Field[Row], ...] = (

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,12 +12,12 @@ import pytest
 
 import synth.command.cross_check
 from models.common.errors import InputError
+from models.document.field import cells
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from synth.__main__ import main
 from synth.command.cross_check import cross_check
-from synth.command.design_table import _limit
-from synth.command.table import _pole_lines, semi_active_lines
+from synth.command.table import POLES, limit_text
 from synth.lmi.full_order_bound import bound_beyond_control
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -37,10 +36,11 @@ def test_what_is_flat_is_the_gain_in_the_table(tmp_path, capsys, options):
     moves = found["flat"]["gain_down_up"]
     assert [move[0] for move in moves.values()] == gains  # with one force a state's largest gain is its gain
     main(["--vehicle", car, *options, "-v"])
-    printed = re.findall(r"^  (\w+) +(\S+) +from (\S+) +to (\S+)$", capsys.readouterr().out, re.MULTILINE)
+    printed = re.findall(
+        r"^(\w+) +(\S+) +(any|\S+) +(any|\S+)$", capsys.readouterr().out.partition("may rise by")[2], re.MULTILINE
+    )
     assert [name for name, *_ in printed] == list(moves)
-    for name, gain, low, high in printed:
-        assert "any" in (low, high) or float(low) < float(gain) < float(high), name
+    assert all("any" in ends or float(ends[0]) + float(ends[1]) > 0 for _, _, *ends in printed)
 
 
 def table(capsys, *arguments) -> tuple[int, dict]:
@@ -69,8 +69,7 @@ def test_table(capsys):
 
 def test_modes():
     """A pair of poles has its natural frequency and damping ratio beside it: of s^2 + 2 s + 4 they are 2 rad/s and 1/2."""
-    poles = [complex(-1, 3**0.5), complex(-1, -(3**0.5)), complex(-2), complex(-30)]
-    assert _pole_lines(poles) == ["  poles -1 +- 1.732j  0.318 Hz, damping 0.5", "        -2  -30"]
+    assert cells(POLES, [complex(-1, 3**0.5), complex(-2)]) == (("-1 +- 1.732j", "0.318", "0.5"), ("-2", "0.318", "1"))
 
 
 @pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])
@@ -91,14 +90,11 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     limit = bound_beyond_control(plant)
     assert limit.gamma == pytest.approx(2, rel=1e-12)  # it is rounded down
     assert limit.limit_at == 0.0
-    text = (
-        "limit: at 0 rad/s, where a mode does not decay by itself, no control force that holds it brings z's response to the road"
-    )
-    assert _limit(limit, plant) == f"{text} below 2"
+    assert limit_text(limit, plant).startswith("Limit: 2 at 0 Hz, for every control force that holds the mode there")
 
 
-MERELY = ", the limit at that frequency: no control brings z below it, and without control z is {free:.7g} there"
-SAME = ", where no control changes z (invariant point)"
+MERELY = ". No control brings z below it there; without control z is {free:.7g}."
+SAME = ", where no control changes z (invariant point)."
 
 
 @pytest.mark.parametrize(("more", "said"), [("", SAME), ("tyre_damping = 1000.0\n", MERELY)], ids=["paper", "damped tyre"])
@@ -113,7 +109,8 @@ def test_an_invariant_point_is_one(more, said):
     across = float(np.linalg.norm(of_w - of_u @ np.linalg.pinv(of_u) @ of_w))
     alone = float(np.linalg.norm(of_w))
     assert bound.gamma == pytest.approx(across, rel=1e-9)  # rounding of the pseudo-inverse
-    assert _limit(bound, plant) == f"limit: {across:.7g} at {bound.limit_at:.5g} rad/s{said.format(free=alone)}"
+    where = f"{bound.limit_at / (2 * np.pi):.5g} Hz"
+    assert limit_text(bound, plant) == f"Limit: {across:.7g} at {where}{said.format(free=alone)}"
     assert (alone <= 1.001 * across) == (said == SAME)
 
 
@@ -137,20 +134,18 @@ def test_text_says_where_there_is_no_limit(capsys, tmp_path):
     file = tmp_path / "car.toml"
     file.write_text(text.replace(weights, "\nsuspension_deflection = 1.0\n\n"))
     main(["--vehicle", str(file), "--controller", "passive", "-v"])
-    said = "limit: none; at every frequency control forces can change all of z's response to the road"
+    said = "Limit: none. At every frequency control forces can change all of z's response to the road"
     assert said in prose(capsys.readouterr().out)
     _, found = table(capsys, "--vehicle", str(file), "--controller", "passive")
     assert found["invariant_limit"] is None
 
 
-def test_laws_that_are_left_out_are_named():
-    """Laws without a linear claim stand in one line, by all their names; without any there is no line."""
+def test_laws_that_are_left_out_are_named(capsys):
+    """Laws to which linear analysis does not apply are in one sentence, by all their names."""
     vehicle = read_vehicle("quarter_car_semi_active")
-    (line,) = semi_active_lines(vehicle)
-    named = line.partition(": ")[2].partition(";")[0].split(", ")
-    assert [*vehicle.linear_names, *named] == sorted(vehicle.controller_names, key=lambda name: name in named)
-    assert len(named) >= 7
-    assert semi_active_lines(read_vehicle("quarter_car")) == []
+    main(["--vehicle", "quarter_car_semi_active", "-v"])
+    (named,) = re.findall(r"does not apply to (.*?); sim.drive", prose(capsys.readouterr().out))
+    assert sorted([*vehicle.linear_names, *named.split(", ")]) == sorted(vehicle.controller_names)
 
 
 def test_remark_4(capsys):
@@ -185,8 +180,7 @@ def test_the_table_says_what_refine_would_gain(capsys, vehicle):
         if share is not None:
             assert 0.9 * share <= promised[row["name"]] / 100 <= share  # cut after two digits
     assert set(promised) == {"I", "II"}
-    (command,) = re.findall(r"^  python -m synth ((?:.*\\\n)*.*)$", text, flags=re.MULTILINE)
-    code, after = table(capsys, *shlex.split(command.replace("\\\n", "")))  # as a shell joins lines
+    code, after = table(capsys, "--vehicle", vehicle, "--controller", "I", "--controller", "II", "--refine")
     assert code == 0
     norms = {row["name"]: row["norm"] for row in before["controllers"]}
     for row in after["controllers"]:
@@ -240,14 +234,6 @@ def test_cross_check(capsys, vehicle):
         assert abs(each["apart"]) < 2e-6  # measured 7e-7 for I of the quarter-car, 3e-8 for the rest
         assert abs(each["above"]) < 2e-6
         assert each["theirs"] == pytest.approx(each["ours"] * (1 + each["apart"]), rel=1e-12)
-    main(["--vehicle", vehicle, "--cross-check", "--controller", "I"])
-    said = re.search(
-        r"optimum of \(25\) is (.*), ours (.*), .* apart; our gain attains (\S*) there,", prose(capsys.readouterr().out)
-    )
-    assert said is not None
-    assert [float(number) for number in said.groups()] == pytest.approx(
-        [witnesses["I"][key] for key in ("theirs", "ours", "attained")], rel=1e-8
-    )  # printed with nine digits
 
 
 def test_a_witness_against_is_a_failure(designer, monkeypatch):
@@ -267,7 +253,7 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     monkeypatch.setattr(synth.command.cross_check, "solve_lmi", gives_up)
     witness = cross_check(designer, state)
     assert witness is not None
-    assert witness.text == "no second witness: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"
+    assert witness.text == "no cross-check: (22): Clarabel gave up; (22) with our gain: Clarabel gave up"
 
 
 @pytest.mark.parametrize("section", ["", "[limits]\nactuator_bandwidth = 60.0\n", "[implementation]\ndelay = 3\n"])
@@ -276,7 +262,7 @@ def test_which_loop_is_said(capsys, tmp_path, section):
     file = tmp_path / "car.toml"
     file.write_text(read_vehicle("quarter_car").text + "\n" + section)
     main(["--vehicle", str(file), "--controller", "passive", "-v"])
-    said = "bound, norm and poles are of the ideal loop, continuous and without [limits] and [implementation]"
+    said = "Bound, norm and poles are those of the ideal loop: continuous, without [limits] and [implementation]"
     assert (said in prose(capsys.readouterr().out)) == bool(section)
 
 

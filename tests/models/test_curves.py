@@ -27,7 +27,7 @@ from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from sim.studies.validity.regime_map import validity
-from synth.controller.report import ideal_lines
+from synth.controller.report import OF, ideal_lines
 from synth.vehicle.designer import Designer, design
 from tests.support.analysed import energy, sampled_response, simulate
 from tests.support.commands import attacks, prose, refused
@@ -422,7 +422,7 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
     smooth = with_curves(suspension_damping=DIGRESSIVE)
     (line,) = ideal_lines(smooth, [design(smooth, "passive")])
-    assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
+    assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (elsewhere 666.7 to 1750)."
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"

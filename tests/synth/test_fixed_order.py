@@ -10,7 +10,6 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.common.printed import wrapped
 from models.laws.law_structure import LawStructure, pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -18,7 +17,7 @@ from sim.margins import _check_loop
 from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
-from synth.command.table import Row, short_lines
+from synth.command.table import Row, answers
 from synth.controller.report import pid_line, sign_note
 from synth.design.feedback import design_feedback
 from synth.design.fixed_order.fixed_order import FixedOrderDesign, _Search, fixed_order_design
@@ -257,7 +256,7 @@ def test_a_designed_pid_is_the_one_that_its_gains_make(sampled):
     given = quarter_car(f'measured = ["suspension_deflection"]\n{written}', more).vehicle.controllers["mine"].law
     assert given is not None
     assert pid_line(found) == written.replace("  ", " ")
-    assert short_lines(Row("mine", found, (), ())) == wrapped(written, "mine: ", 4)
+    assert [one.text for one in answers([Row("mine", found, (), ())], True)] == [f"`mine`: {written}".replace("  ", " ")]
     period = 0.01 if sampled else None
     mine, own = (law.sampled(0.01) if sampled else law for law in (given, found.law))
     assert own.sample_period == period
@@ -298,9 +297,9 @@ def test_an_unstable_pid_says_what_its_signs_mean():
     """Positive gains on an extension push with it: where such a loop is unstable synth and sim.margins say so, of others not."""
     designer = quarter_car(pid_section(kp=2000.0, ki=500.0))
     wrong = designer.design("mine")
-    (line,) = short_lines(Row("mine", wrong, (), wrong.certificate.failures))
-    assert line.startswith(
-        "mine FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd gives a force that lifts the body"
+    (failure,) = answers([Row("mine", wrong, (), wrong.certificate.failures)], True)
+    assert failure.text.startswith(
+        "`mine` FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd gives a force that lifts the body"
     )
     with pytest.raises(InputError, match="against it gains are negative"):
         _check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)

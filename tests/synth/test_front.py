@@ -191,7 +191,7 @@ def test_the_picture_is_the_front(few):
 
 
 def test_what_is_written_is_one(quick, capsys, monkeypatch, tmp_path):
-    """Table, CSV, JSON and saved controllers have the same numbers; twice the same command gives the same; --check agrees.
+    """CSV, JSON and saved controllers have the same numbers; twice the same command gives the same; --check agrees.
 
     A point that the front does not have is refused, and nothing is written.
     """
@@ -222,10 +222,6 @@ def test_what_is_written_is_one(quick, capsys, monkeypatch, tmp_path):
         if "point" in one:
             assert [float(row["gain_1_1"]), float(row["gain_1_2"])] == one["gain"][0]
             assert (float(row["bump_travel"]) if row["bump_travel"] else None) == one["bump_travel"]
-    for number, ride, travel in re.findall(r"^  (\d+) +([\d.]+) +([\d.]+) ", printed, re.M):
-        values = result["points"][int(number) - 1]["values"]
-        assert f"{values['ride']['value']:.6g}" == ride
-        assert f"{values['travel']['value']:.6g}" == travel
     assert f"{len(result['points'])} certified designs, none of which another beats in all" in prose(printed)
     text = read_vehicle(saved)
     assert {"I_point_3_designed", "I_point_5_designed"} < {*text.controllers}
@@ -259,13 +255,17 @@ def test_report(monkeypatch, few):
     section = front_section(scope)
     (table,), (figure,) = section.tables, section.figures
     norms = few.values[few.marked]
-    assert [[float(row[1]), float(row[3])] for row in table.rows] == [pytest.approx(each, rel=1e-5) for each in norms.tolist()]
+    assert [[float(row[1]), float(row[3])] for row in table.rows[:2]] == [
+        pytest.approx(each, rel=1e-6) for each in norms.tolist()
+    ]
     (measured,) = [curve for curve in figure.panels[0].curves if curve.name == "MuJoCo"]
     shown = np.stack([measured.x, measured.y], axis=1)
-    assert [[float(row[2]), float(row[4])] for row in table.rows] == [pytest.approx(each, rel=1e-4) for each in shown.tolist()]
+    assert [[float(row[2]), float(row[4])] for row in table.rows[:2]] == [
+        pytest.approx(each, rel=1e-4) for each in shown.tolist()
+    ]
     # A force held over a step acts half of that late, and the peak of a sinusoid is the norm to NEXT.
     assert np.max(np.abs(shown / norms - 1)) < 0.005
-    assert f"{COUNT} certified designs, none of which another beats in all" in section.text[1]
+    assert f"{COUNT} certified designs, none of which another beats in all" in section.statements[0].text
 
 
 @pytest.mark.attack

@@ -20,7 +20,7 @@ from sim.studies.ride.run_metrics import measure_run, metric_lines
 from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import describe
 from synth import design_controllers as design
-from synth.command.table import Row, detail_lines, row_object
+from synth.command.table import Row, details, row_object
 
 BUMP = Bump(height=0.02, length=4.0, speed=12.0)
 SLOW, FAST = 30.0, 1500.0  # 1/s: beyond 1e10 N within a second, and beyond all numbers within half of it
@@ -80,7 +80,7 @@ def test_a_law_that_is_unstable_by_itself_is_called_so(wound_up):
     vehicle, controller, _ = wound_up
     said = "this law is unstable by itself (+30 1/s)"
     row = Row(controller.name, controller, (), ())
-    for lines in (controller_lines(vehicle, controller), detail_lines(row, vehicle)):
+    for lines in (controller_lines(vehicle, controller), [one.text for one in details(vehicle, row).statements]):
         assert [line.strip() for line in lines if said in line] == [
             f"{said} and winds up where forces are clipped; anti_windup bounds its states"
         ]

@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Field[Point]("bump travel", lambda point: point.travel, ".4g", 1e3, "bump_travel", "mm")
 VALUE = Field[AxisValue]("norm", lambda norm: norm.value, NORM_DIGITS)
+ROUGH = replace(VALUE, form=".4g")  # in a picture
 MUJOCO = Field[float]("MuJoCo", lambda gain: gain, ".5g")
 NUMBERS: tuple[Field[Point], ...] = (
     NORM.of(lambda point: point.controller.certificate),
@@ -252,7 +254,11 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         label = "MuJoCo on one sinusoid, which reaches the norm from below"
         curves.append(Curve(measured[:, i], measured[:, j], label, MEASURED, "none", "x", name="MuJoCo"))
-    away = [f"{name} ({_value(x)}, {_value(y)})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
+    away = [
+        f"{name} ({ROUGH.digits(x)}, {ROUGH.digits(y)})"
+        for (name, (x, y)), far in zip(others.items(), beyond, strict=True)
+        if far
+    ]
     title = f"{front.axes[i].name} and {front.axes[j].name}".replace("_", " ")
     if away:
         title += f"; beyond: {', '.join(away)}"
