@@ -1,7 +1,7 @@
 """`python -m synth --fragility`: the errors of measurements and forces that a controller tolerates, and the cost of rounding."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,6 @@ from synth.analysis.certificate import Certificate
 from synth.controller.controller import Controller
 from synth.controller.report import NORM
 from synth.design.uncertainty.fragility import (
-    ERROR,
     ErrorMargin,
     Fragility,
     fragility,
@@ -87,4 +86,4 @@ def _between(margin: ErrorMargin) -> str:
     return ", ".join(SHARE.digits(value or None) for value in (margin.proved_margin, margin.smallest_violation))
 
 
-SHARE = replace(ERROR, form=".3g")  # two in a cell
+SHARE = Field[float]("error", lambda share: share, ".3g", 100)

@@ -6,7 +6,7 @@ errors of the entries of its gain include an error of the force. With several fo
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite, percent
-from models.document.field import Field
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -255,16 +254,14 @@ def whose(report: Fragility) -> str:
     return "readings and forces" if len(report.stable.forces) > 1 else "readings"
 
 
-ERROR = Field[float]("error", lambda share: share, ".4g", 100, unit="%")
+def _percents(share: float, form: str = ".4g") -> str:
+    return f"{100 * share:{form}} %"
 
 
 def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
     """Returns the harmful errors by signal; for a harmless margin, those along the worst ray."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
-    return ", ".join(f"{name} {SIGNED.text(error)}" for name, error in named if abs(error) > NOTHING) or "none"
-
-
-SIGNED = replace(ERROR, form="+.4g")
+    return ", ".join(f"{name} {_percents(error, '+.4g')}" for name, error in named if abs(error) > NOTHING) or "none"
 
 
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
@@ -273,7 +270,7 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     text = f"fragile: no errors of {whose(report)} up to 100 % were found that make it unstable"
     if math.isfinite(stable.smallest_violation):
         errors = errors_text(stable, measured, forces)
-        text = f"fragile: unstable with errors of {whose(report)} of {ERROR.text(stable.smallest_violation)} ({errors})"
+        text = f"fragile: unstable with errors of {whose(report)} of {_percents(stable.smallest_violation)} ({errors})"
     return f"{text}; {proved_text(report)}"
 
 
@@ -281,14 +278,12 @@ def proved_text(report: Fragility, norms: bool = True) -> str:
     """Returns the proved margins in words, those of the norm if requested."""
     proved = report.stable.proved_margin
     text = (
-        f"stable with each off by up to {ERROR.text(proved)}, which is proved"
-        if proved
-        else "stability with errors is not proved"
+        f"stable with each off by up to {_percents(proved)}, which is proved" if proved else "stability with errors is not proved"
     )
     for share, one in report.within.items() if norms else ():
-        beyond = f", and not at {ERROR.text(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
-        text += f"; the norm within {ERROR.text(share)} "
-        text += f"up to {ERROR.text(one.proved_margin)}{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
+        beyond = f", and not at {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
+        text += f"; the norm within {_percents(share)} "
+        text += f"up to {_percents(one.proved_margin)}{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
     return text
 
 
