@@ -32,7 +32,7 @@ FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel'
 def design_section(scope: Scope) -> Document:
     """Returns the section on designs: norms, bounds and certificates as `python -m synth` prints them, goals, and gains."""
     rows, designer = [_row(scope, one) for one in scope.controllers], scope.designer
-    document = describe(scope.vehicle, rows, designer.beyond_control, designer.plant)
+    document = describe(scope.vehicle, rows, designer.beyond_control, designer.plant, apart=True)
     blocks: list[Block] = [*document.blocks]
     if scope.laws:
         where = next(i for i, block in enumerate(blocks) if isinstance(block, Table))

@@ -21,11 +21,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.command.table import Row, answers, describe, details, proofs, row_object, undamped
 from synth.controller.law_margins import law_margins, warnings
 from synth.controller.problem import measurements
-from synth.controller.report import (
-    failures_of_sampled_loop,
-    norm_or_failure,
-    notes_on_sampled_loop,
-)
+from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
 from synth.controller.report import notes as notes_on
 from synth.design.descent.flatness import free_moves
 from synth.plant.generalized import GeneralizedPlant
@@ -122,7 +118,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         return _refined_row(designer, name, options.zero_l)
     try:
         controller = designer.design(
-            name, options.zero_l, lambda goal, within: stage(f"{goal:.5g}{'' if within else ', not within all bounds'}")
+            name, options.zero_l, lambda goal, within: stage(f"{NORM.digits(goal)}{'' if within else ', not within all bounds'}")
         )
     except DesignError as error:
         return Row(name, None, (), (str(error),))

@@ -23,6 +23,7 @@ from synth.controller.export.compiled import compiler
 from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
+from synth.controller.report import NORM
 from synth.vehicle.designer import Designer, driver_of
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
@@ -121,7 +122,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         f"{file}: a struct for each controller, and vehicle with the plant",
         *(
             f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
-            f"norm {one.certificate.norm.value:.7g}"
+            f"norm {NORM.cell(one.certificate)}"
             for one in controllers
         ),
         *left_out_lines(left_out),

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from models.common.printed import percent
@@ -45,10 +44,17 @@ class FragilityReport:
         """In words."""
         return [fragility_text(self.found, self.measured, self.forces), rounding_text(self.found.norm, self.rounding)]
 
+    def norm_with(self, to: str) -> float | str:
+        """Returns the norm with coefficients of a number format."""
+        return self.rounding[to].norm.value if self.rounding[to].stable else "UNSTABLE"
+
     @property
     def record(self) -> dict[str, Any]:
         """The fragility as JSON."""
         return fragility_object(self.found, self.rounding, self.measured, self.forces)
+
+
+Named = tuple[str, FragilityReport]
 
 
 def fragility_report(vehicle: Vehicle, controller: Controller | None) -> FragilityReport | None:
@@ -66,19 +72,13 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
     first = next(iter(reports.values()))
-    fields: list[Field[tuple[str, FragilityReport]]] = [
-        Field("errors [%]", lambda of: of[0]),
-        Field("unstable", lambda of: _between(of[1].found.stable)),
-    ]
+    fields = [Field[Named]("errors [%]", lambda of: of[0]), Field[Named]("unstable", lambda of: _between(of[1].found.stable))]
     for share in first.found.within:
         fields.append(Field(f"norm + {percent(share)}", lambda of, to=share: _between(of[1].found.within[to])))
-    fields += [NORM.of(partial(_rounded, to), to) for to in first.rounding]
+    for name in first.rounding:
+        fields.append(Field(name, lambda of, to=name: of[1].norm_with(to), NORM.form))
     text = "Errors that each measurement and force may have: proved harmless, found harmful. int16, float16: the norm so rounded."
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
-
-
-def _rounded(to: str, of: tuple[str, FragilityReport]) -> Certificate:
-    return of[1].rounding[to]
 
 
 def _between(margin: ErrorMargin) -> str:

@@ -9,6 +9,7 @@ from models.laws.goals import NormBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
+from synth.controller.report import NORM
 
 SHOWN = (0.3, 30.0)  # Hz; a band that lies further out widens it
 POINTS = 1500
@@ -50,7 +51,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         xlim=(low, high),
     )
     least = min((one for one in curves if one.label), key=lambda one: float(np.max(one.y)))
-    finding = f"{least.label} has the lowest peak: {float(np.max(least.y)):.4g}." if len(stable) > 1 else ""
+    finding = f"{least.label} has the lowest peak: {NORM.digits(float(np.max(least.y)))}." if len(stable) > 1 else ""
     return Figure("responses", title, (panel,), 1, finding)
 
 

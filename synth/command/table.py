@@ -33,6 +33,7 @@ from synth.controller.report import (
     REACHED,
     SAMPLED,
     SLOWEST_POLE,
+    built_words,
     filter_lines,
     growth_lines,
     growth_object,
@@ -130,29 +131,34 @@ LEVEL = Field[Row](
 ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
-def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: GeneralizedPlant) -> Document:
-    """Returns the designs as a document: the table, the limit of every design, and notes on the loops that are meant."""
+def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: GeneralizedPlant, apart: bool = False) -> Document:
+    """Returns the designs as a document: the table, the limit of every design, and notes on the loops that are meant.
+
+    Args:
+        apart: True to have sampled norms in a table of their own only.
+    """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
     held = Field[Row]("certificate", lambda row: "; ".join(row.failures or _cured(vehicle, row)) or "holds", detail="full")
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
     if bounded:  # a terminal has no room for them beside the lower bound of the sampled loop
         others = [replace(field, detail="full") for field in others]
-    sampled = [*[BUILT] * built, *[LEVEL, ABOVE_LEVEL] * bounded]
+    sampled = [*[BUILT] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
     fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
-    about = [*ideal_lines(vehicle, controllers), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
     said = [(row.name, text) for row in rows if row.controller is not None for text in judged_lines(row.controller)]
     blocks: list[Block] = [Statement(limit_text(limit, plant), detail="brief")]
     blocks.append(
         Table.of("designs", "Norms, bounds and certificates of all controllers.", fields, rows, words=2, detail="brief")
     )
-    blocks += notes(*about)
+    blocks += notes(*ideal_lines(vehicle, controllers), *([] if apart else sampled_lines(vehicle)))
+    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
     blocks += notes(EXPLANATION, detail="full")
     if built:
-        caption = "The norm of the ideal loop and of the sampled-data loop, with the gain that a road reaches there."
-        blocks.append(Table.of("norms", caption, NORMS, [row for row in rows if row.sampled is not None], detail="full"))
+        caption = f"The norm of the ideal loop, and of the sampled-data loop with {built_words(vehicle)}."
+        sampled_rows = [row for row in rows if row.sampled is not None]
+        blocks.append(Table.of("norms", caption, NORMS, sampled_rows, detail="normal" if apart else "full"))
     return Document("Designs and certificates", tuple(blocks))
 
 
@@ -294,7 +300,6 @@ def details(vehicle: Vehicle, row: Row) -> Document:
     if row.controller is None:
         return Document(f"controller {row.name}", notes(*(f"NOT DESIGNED: {failure}" for failure in row.failures), detail="full"))
     controller, certificate = row.controller, row.controller.certificate
-    common = {*judged_lines(controller)}
     said = [
         *([law_text(controller.law)] if controller.measured else ["no control force"]),
         *([certificate.stability.words] if undamped(controller) else []),
@@ -302,12 +307,8 @@ def details(vehicle: Vehicle, row: Row) -> Document:
         *([row.witness.text] if row.witness is not None else []),
         *(row.fragile.lines if row.fragile is not None else []),
         *growth_lines(vehicle, controller),
-        *(note for note in (*row.notes, *certificate.remarks) if note not in common),
-        *(
-            ["the sampled norm is decided within one period: no controller has less"]
-            if row.sampled and row.sampled.inside
-            else []
-        ),
+        *(note for note in (*row.notes, *certificate.remarks) if note not in judged_lines(controller)),
+        *([INSIDE] if row.sampled is not None and row.sampled.inside else []),
         *(f"FAILS: {failure}" for failure in failures_of(row)),
     ]
     table = Table.of(f"poles-{row.name}", "", POLES, _poles(controller))
@@ -317,34 +318,22 @@ def details(vehicle: Vehicle, row: Row) -> Document:
 
 def proofs(rows: Sequence[Row]) -> Table:
     """Returns the table of proofs: how far the two routes to the norm differ, and by how much the inequalities hold."""
-    of_X = _part("X > 0 by", "+- X", lambda proof: proof.positive)
-    of_lmi = _part("LMI (20) < 0 by", "+- LMI", lambda proof: proof.negative)
-    caption = "Distance of the two routes to the norm, and balanced eigenvalues with the rounding that they must exceed."
-    return Table.of(
-        "proofs",
-        caption,
-        (CONTROLLER, ROUTES, *of_X, *of_lmi),
-        [row for row in rows if row.controller is not None],
-        detail="full",
-    )
+    caption = "Distance of the two routes to the norm, and the proved smallest eigenvalues of both inequalities, balanced."
+    return Table.of("proofs", caption, PROOFS, [row for row in rows if row.controller is not None], detail="full")
 
 
-ROUTES = Field[Row](
-    "routes apart", lambda row: row.certificate.norm.gap if row.certificate and row.certificate.stable else None, ".0e"
+def _proved(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
+    """Returns the smallest eigenvalue of an inequality, absent if it is not proved."""
+    proof = row.certificate.proof if row.certificate is not None else None
+    return part(proof).smallest if proof is not None and part(proof).proved else None
+
+
+PROOFS: tuple[Field[Row], ...] = (
+    CONTROLLER,
+    Field[Certificate]("routes apart", lambda one: one.norm.gap if one.stable else None, ".0e").of(CERTIFICATE),
+    Field("X > 0 by", lambda row: _proved(row, lambda proof: proof.positive), ".1e"),
+    Field("LMI (20) < 0 by", lambda row: _proved(row, lambda proof: proof.negative), ".1e"),
 )
-
-
-def _part(label: str, rounding: str, part: Callable[[LmiProof], Definiteness]) -> tuple[Field[Row], Field[Row]]:
-    """Returns the fields of an inequality: its smallest eigenvalue and its rounding; absent if it is not proved."""
-
-    def found(row: Row) -> Definiteness | None:
-        proof = row.certificate.proof if row.certificate is not None else None
-        return part(proof) if proof is not None and part(proof).proved else None
-
-    return (
-        Field(label, lambda row: one.smallest if (one := found(row)) is not None else None, ".1e"),
-        Field(rounding, lambda row: one.rounding if (one := found(row)) is not None else None, ".0e"),
-    )
 
 
 def row_object(row: Row) -> dict[str, Any]:

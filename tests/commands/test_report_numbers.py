@@ -25,7 +25,6 @@ from sim.report.scope import Scope
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.standing import digits
 from sim.sweep import main as sweep
-from synth.__main__ import main as synth
 from tests.commands.test_report import QUICK
 from tests.support import shared
 from tests.support.commands import attacks
@@ -87,15 +86,9 @@ def held(row: dict[str, str], said: dict[str, str]) -> None:
 
 @pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
 def test_tables_are_what_the_commands_print(which, request, real_file, capsys):
-    """Norms are those of `synth`; what the tables have of the paper's bump, the summary and the comparison is of `sim.bump`."""
+    """What the tables have of the paper's bump, the summary and the comparison is of `sim.bump`."""
     read: PageRead = request.getfixturevalue(which)
     vehicle = ["--vehicle", real_file] if which == "real" else []
-    found = {one["name"]: one for one in printed(capsys, synth, *vehicle)["controllers"]}
-    for name in NAMES:
-        one, bound = found[name], found[name]["bound"]
-        ideal = {"norm": f"{one['norm']:.7g}", "peak [Hz]": f"{one['peak_frequency'] / (2 * np.pi):.5g}"}
-        held(read.row("designs", controller=name), ideal | {"bound": f"{bound:.7g}" if bound else "-"})
-        assert f"{name} {one['norm']:.4g}" in " ".join(read.answer[:2])
     result = printed(capsys, bump, *(f"--controller={name}" for name in NAMES), *vehicle, *STEP, "--no-logs")
     kinds = {"MuJoCo": "mujoco", "sampled": "sampled", "continuous": "continuous"}
     for run in result["runs"]:
@@ -112,7 +105,7 @@ def test_tables_are_what_the_commands_print(which, request, real_file, capsys):
         felt, until = run["signals"]["sprung_acceleration"]["rms"], run["until"]
         cells = {"sprung acceleration, rms [m/s²], predicted": f"{felt['sampled']:.3g}", "in MuJoCo": f"{felt['mujoco']:.3g}"}
         cells |= {"over the paper's bump": "agrees" if until is None else f"agrees; linear until {until:.3g} s"}
-        held(read.row("summary", controller=name), cells | {"H-infinity norm": f"{found[name]['norm']:.4g}"})
+        held(read.row("summary", controller=name), cells | {"H-infinity norm": f"{run['controller']['norm']:.4g}"})
     assert len(read.tables["bump"]) == 16
     compared, best = result["compared"]["controllers"], result["compared"]["best"]
     for one in compared:
@@ -358,22 +351,6 @@ def test_ride_is_what_drive_says(paper, designer, capsys):
             metric
         )  # 4 digits
         assert float(row[5]) == pytest.approx(found[0]["expected"], rel=1e-3), metric
-
-
-@pytest.mark.attack
-def test_a_norm_as_built(tmp_path, plain, capsys):
-    """The norm as built is what `synth` says, never below what no controller can beat, and how far it is from the ideal one."""
-    file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\ndelay = 1\n")
-    read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "I", step=COARSE)
-    row, said = (
-        read.row("norms", controller="I"),
-        printed(capsys, synth, "--vehicle", file, "--controller", "I")["controllers"][0],
-    )
-    assert row["norm, as built"] == row["reached by a road"] == f"{said['sampled_norm']:.7g}"
-    assert float(row["norm, as built"]) > float(read.row("designs", controller="I")["lower bound"])
-    assert row["that is"] == f"{100 * (said['sampled_norm'] / said['norm'] - 1):.2g} % above"
-    assert read.row("norms", controller="passive")["that is"] == "equal to"
-    assert "norms" not in plain.tables
 
 
 def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):

@@ -4,7 +4,7 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Field[Point]("bump travel", lambda point: point.travel, ".4g", 1e3, "bump_travel", "mm")
-VALUE = Field[AxisValue]("norm", lambda norm: norm.value, NORM_DIGITS)
+VALUE = Field[float]("norm", lambda norm: norm, NORM_DIGITS)
 ROUGH = replace(VALUE, form=".4g")  # in a picture
 MUJOCO = Field[float]("MuJoCo", lambda gain: gain, ".5g")
 NUMBERS: tuple[Field[Point], ...] = (
@@ -51,10 +51,11 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
-        fields.append(VALUE.of(partial(_norm_on, k), axis.name))
+        fields.append(Field(axis.name, lambda row, k=k: row[1].values[k], VALUE.form))
         if measured is not None:
-            fields.append(MUJOCO.of(partial(_measured_on, k), f"{axis.name}, MuJoCo"))
-    fields += [TRAVEL.of(_point)] if any(row[1].travel is not None for row in rows) else []
+            fields.append(Field(f"{axis.name}, MuJoCo", lambda row, k=k: None if row[2] is None else row[2][k], MUJOCO.form))
+    if any(row[1].travel is not None for row in rows):
+        fields.append(TRAVEL.of(itemgetter(1)))
     fields.append(Field("gain", lambda row: row[3]))
     meanings = "; ".join(f"{axis.label}: {axis.meaning}" for axis in front.axes)
     controller = front.points[0].controller
@@ -72,22 +73,10 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     )
 
 
-def _point(row: Row) -> Point:
-    return row[1]
-
-
-def _norm_on(k: int, row: Row) -> AxisValue:
-    return row[1].norms[k]
-
-
-def _measured_on(k: int, row: Row) -> float | None:
-    return None if row[2] is None else float(row[2][k])
-
-
 def _results(front: Front) -> list[str]:
     """Returns the range of the front on each axis, and how many designs are better than each other controller in all axes."""
     columns = zip(front.axes, front.values.T, strict=True)
-    ends = ", ".join(f"{axis.name} from {_value(values.min())} to {_value(values.max())}" for axis, values in columns)
+    ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
     for one in front.others:
         better = [i + 1 for i, point in enumerate(front.points) if _beats(point.values, one.values)]
@@ -96,10 +85,6 @@ def _results(front: Front) -> list[str]:
     texts += [f"{front.unproved} other designs are omitted, because a claim could not be proved."] if front.unproved else []
     alike = ", ".join(f"than {names} {text}" for text, names in by_text(beaten.items()).items())
     return [*texts, f"Designs that are better in all axes: {alike}."] if alike else texts
-
-
-def _value(value: float) -> str:
-    return VALUE.digits(float(value))
 
 
 def front_object(front: Front) -> dict[str, Any]:
