@@ -256,8 +256,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
             without.setdefault(claim, []).append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
-            for text in warnings({run.controller.name: margins[run.controller.name]}):
-                lines += wrapped(text.replace("`", ""), hang=4)
+            lines += [text.replace("`", "") for text in warnings({run.controller.name: margins[run.controller.name]})]
         if code := code_line(run.prediction.code_effect, run.vehicle):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)

@@ -72,11 +72,7 @@ class Specification:
 
 
 NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
-
-
-def digits(value: float) -> str:
-    """Returns a number with the digits of norms."""
-    return format(value, NORM_DIGITS)
+digits = f"{{:{NORM_DIGITS}}}".format
 
 
 ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the enclosing levels from the norm

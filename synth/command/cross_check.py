@@ -1,7 +1,6 @@
-"""A second solver as a witness: (22) and (25) by Clarabel, beside the central path that the designs come from.
+"""A cross-check of (22) and (25) by a second solver, Clarabel. Designs come from the central path (`lmi/central_path.py`).
 
-The optimum of either is attained on a whole face of gains (`lmi/central_path.py`): two solvers agree in gamma, and not in the
-gain. So whether our gain lies on that face is a second question: with the gain fixed, does the problem reach the same gamma?
+Many gains attain the optimum, so two solvers agree in gamma but not in the gain. A second problem therefore has our gain fixed.
 """
 
 from dataclasses import dataclass
@@ -55,11 +54,11 @@ class CrossCheck:
     @property
     def failures(self) -> tuple[str, ...]:
         """The disagreements, in words."""
-        failed, theirs = [], f"Clarabel's optimum of {self.problem}"
+        failed, theirs = [], f"Clarabel's optimum of {self.problem}, {BOUND.digits(self.theirs)}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
-            failed.append(f"{theirs} is {BOUND.digits(self.theirs)}, ours is {BOUND.digits(self.ours)}")
+            failed.append(f"{theirs}, differs from ours, {BOUND.digits(self.ours)}")
         if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
-            failed.append(f"our gain attains {BOUND.digits(self.attained)}, {SHARE.digits(self.above)} off {theirs}")
+            failed.append(f"our gain attains {BOUND.digits(self.attained)}, not {theirs}")
         return tuple(failed)
 
     @property
@@ -68,9 +67,8 @@ class CrossCheck:
         if self.theirs is None:
             return f"no cross-check: {self.said}"
         text = f"Clarabel's optimum of {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} off ours"
-        if self.above is not None:
-            text += f"; our gain attains it within {SHARE.digits(abs(self.above))}"
-        return f"{text}; {self.said}" if self.said else text
+        attained = f"our gain attains it within {SHARE.digits(abs(self.above))}" if self.above is not None else ""
+        return "; ".join(filter(None, (text, attained, self.said)))
 
 
 SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")

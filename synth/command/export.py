@@ -236,9 +236,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
             ranges[name] = math.nan
         low, high = RANGES
         if not low <= ranges[name] <= high:
-            raise InputError(
-                f"--range {text}: give a signal and its largest magnitude, {low:g} to {high:g}, as in --range sprung_velocity=1.5"
-            )
+            raise InputError(f"--range {text}: give SIGNAL=MAGNITUDE, from {low:g} to {high:g}, such as sprung_velocity=1.5")
     return ranges
 
 

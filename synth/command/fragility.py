@@ -4,22 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from models.common.printed import percent
+from models.common.printed import cell, percent
 from models.document.document import Block, Table, notes
 from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.controller.controller import Controller
 from synth.controller.report import NORM
-from synth.design.uncertainty.fragility import (
-    ErrorMargin,
-    Fragility,
-    fragility,
-    fragility_object,
-    fragility_text,
-    rounding,
-    rounding_text,
-)
+from synth.design.uncertainty import fragility as errors
 from synth.design.uncertainty.problem import scaled_gain
 
 
@@ -34,7 +26,7 @@ class FragilityReport:
         forces: names of the vehicle's forces.
     """
 
-    found: Fragility
+    found: errors.Fragility
     rounding: dict[str, Certificate]
     measured: tuple[str, ...]
     forces: tuple[str, ...]
@@ -42,19 +34,15 @@ class FragilityReport:
     @property
     def lines(self) -> list[str]:
         """In words."""
-        return [fragility_text(self.found, self.measured, self.forces), rounding_text(self.found.norm, self.rounding)]
-
-    def norm_with(self, to: str) -> float | str:
-        """Returns the norm with coefficients of a number format."""
-        return self.rounding[to].norm.value if self.rounding[to].stable else "UNSTABLE"
+        return [
+            errors.fragility_text(self.found, self.measured, self.forces),
+            errors.rounding_text(self.found.norm, self.rounding),
+        ]
 
     @property
     def record(self) -> dict[str, Any]:
         """The fragility as JSON."""
-        return fragility_object(self.found, self.rounding, self.measured, self.forces)
-
-
-Named = tuple[str, FragilityReport]
+        return errors.fragility_object(self.found, self.rounding, self.measured, self.forces)
 
 
 def fragility_report(vehicle: Vehicle, controller: Controller | None) -> FragilityReport | None:
@@ -62,9 +50,9 @@ def fragility_report(vehicle: Vehicle, controller: Controller | None) -> Fragili
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
     posed = controller.problem(vehicle.without_integrals)
-    borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
+    borne = errors.fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
     forces = tuple(vehicle.linear_model.inputs)
-    return FragilityReport(borne, rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
+    return FragilityReport(borne, errors.rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
@@ -72,18 +60,16 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
     first = next(iter(reports.values()))
-    fields = [Field[Named]("errors [%]", lambda of: of[0]), Field[Named]("unstable", lambda of: _between(of[1].found.stable))]
+    fields: list[Field[tuple[str, FragilityReport]]] = [Field("errors [%]", lambda of: of[0])]
+    fields.append(Field("unstable", lambda of: _between(of[1].found.stable)))
     for share in first.found.within:
         fields.append(Field(f"norm + {percent(share)}", lambda of, to=share: _between(of[1].found.within[to])))
     for name in first.rounding:
-        fields.append(Field(name, lambda of, to=name: of[1].norm_with(to), NORM.form))
+        fields.append(Field(name, lambda of, to=name: of[1].rounding[to].norm.value, NORM.form))
     text = "Errors that each measurement and force may have: proved harmless, found harmful. int16, float16: the norm so rounded."
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 
-def _between(margin: ErrorMargin) -> str:
+def _between(margin: errors.ErrorMargin) -> str:
     """Returns the errors that are proved to be harmless and those that are found not to be; a dash for none."""
-    return ", ".join(SHARE.digits(value or None) for value in (margin.proved_margin, margin.smallest_violation))
-
-
-SHARE = Field[float]("error", lambda share: share, ".3g", 100)
+    return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

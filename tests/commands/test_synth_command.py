@@ -242,7 +242,7 @@ def test_a_witness_against_is_a_failure(designer, monkeypatch):
     assert state.certificate.proof is not None
     seven = dataclasses.replace(state.certificate.proof, eta=1 / 49)
     moved = dataclasses.replace(state, certificate=dataclasses.replace(state.certificate, proof=seven))
-    for wrong, said in ((dataclasses.replace(state, law=state.law.scaled(0.9)), "our gain attains"), (moved, "ours is 7")):
+    for wrong, said in ((dataclasses.replace(state, law=state.law.scaled(0.9)), "our gain attains"), (moved, "from ours, 7")):
         witness = cross_check(designer, wrong)
         assert witness is not None
         assert said in witness.failures[0]

@@ -266,20 +266,16 @@ def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]
 
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
     """Returns the fragility of a law as a sentence."""
-    stable = report.stable
-    text = f"fragile: no errors of {whose(report)} up to 100 % were found that make it unstable"
-    if math.isfinite(stable.smallest_violation):
-        errors = errors_text(stable, measured, forces)
-        text = f"fragile: unstable with errors of {whose(report)} of {_percents(stable.smallest_violation)} ({errors})"
-    return f"{text}; {proved_text(report)}"
+    found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
+    if not math.isfinite(found):
+        return f"fragile: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
+    return f"fragile: errors of {whose(report)} of {_percents(found)} ({errors}) make the loop unstable; {proved}"
 
 
 def proved_text(report: Fragility, norms: bool = True) -> str:
     """Returns the proved margins in words, those of the norm if requested."""
     proved = report.stable.proved_margin
-    text = (
-        f"stable with each off by up to {_percents(proved)}, which is proved" if proved else "stability with errors is not proved"
-    )
+    text = f"stable with each off by up to {_percents(proved)}, which is proved" if proved else "stability is not proved"
     for share, one in report.within.items() if norms else ():
         beyond = f", and not at {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
         text += f"; the norm within {_percents(share)} "
