@@ -59,12 +59,14 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     fields.append(Field("gain", lambda row: row[3]))
     meanings = "; ".join(f"{axis.label}: {axis.meaning}" for axis in front.axes)
     controller = front.points[0].controller
+    spans, *beaten = _results(front)
+    gains = f"All designs are static gains on {', '.join(controller.measured)}. {meanings}."
     caption = "Points of the front and other controllers: proved norms and gains."
     return Document(
         "Trade-off between objectives",
         (
-            *notes(*_results(front), detail="brief"),
-            *notes(f"All designs are static gains on {', '.join(controller.measured)}. {meanings}.", *judged_lines(controller)),
+            *notes(spans, detail="brief"),
+            *notes(*beaten, gains, *judged_lines(controller)),
             Table.of("front", caption, fields, rows, detail="brief"),
             front_figure(front, measured),
             *notes(*_limit_texts(front), detail="brief"),
