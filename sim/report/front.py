@@ -47,7 +47,7 @@ def check_front(vehicle: Vehicle, text: str) -> None:
 def front_section(scope: Scope) -> Document:
     """Returns the front of the usual controller, or the reason why it is missing."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
-    assert given is not None, "a front was asked for"
+    assert given is not None, "no axes"
     axes = axes_of(vehicle, given)
     total = rays_of(len(axes), DESIGNS)
     try:

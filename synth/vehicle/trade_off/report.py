@@ -48,7 +48,8 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     for k in shown:
         i = front.marked[k]
         rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
-    rows += [(name, others[name], None, "-") for name in without_copies(others)]
+    if measured is None:  # no run has values for the others
+        rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
         fields.append(Field(axis.name, lambda row, k=k: row[1].values[k], VALUE.form))
@@ -61,7 +62,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     controller = front.points[0].controller
     spans, *beaten = _results(front)
     gains = f"All designs are static gains on {', '.join(controller.measured)}. {meanings}."
-    caption = "Points of the front and other controllers: proved norms and gains."
+    caption = "Some points of the front: proved norms and gains."
     return Document(
         "Trade-off between objectives",
         (
