@@ -45,6 +45,7 @@ class Table:
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned, except a last one `NOTE`.
         pivot: short form for a page, or None to show all columns that differ.
         detail: lowest level of detail at which it is shown.
+        wide: headings of columns that a terminal has no room for.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Table:
     words: int = 1
     pivot: Pivot | None = None
     detail: Detail = "normal"
+    wide: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
@@ -70,8 +72,9 @@ class Table:
         pivot: Pivot | None = None,
         detail: Detail = "normal",
     ) -> "Table":
-        """Returns the table of some results, a row each."""
-        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail)
+        """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
+        wide = tuple(field.title for field in fields if field.detail == "full")
+        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide)
 
     @property
     def reading(self) -> Reading:

@@ -45,9 +45,10 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns a table's lines for a terminal. Remarks of a last column `NOTE` stand right of the row, or below it."""
+    columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     if one.headings[-1] != NOTE:
-        return table([one.headings, *one.rows], indent)
-    *rows, remarks = [*zip(*([one.headings, *one.rows]), strict=True)]
+        return table([*zip(*columns, strict=True)], indent)
+    *rows, remarks = columns
     lines = []
     for line, remark in zip(table([*zip(*rows, strict=True)], indent), ("", *remarks[1:]), strict=True):
         beside = f"{line}{GAP}{remark}".rstrip()

@@ -29,18 +29,6 @@ ENTRIES = 2e7  # numbers in a batch's record
 STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
 
 
-@dataclass(frozen=True)
-class Moving:
-    """An output that moves: its largest fundamental per road velocity, the largest share of energy outside it, and where [Hz]."""
-
-    name: str
-    unit: str
-    largest: float
-    largest_at: float
-    outside: float
-    outside_at: float
-
-
 @dataclass(frozen=True, eq=False)
 class DescribingFunction:
     """Describing function of one controller, per road velocity under the first wheel.
@@ -79,16 +67,9 @@ class DescribingFunction:
         return int(np.argmax(np.nan_to_num(self.gains)))
 
     @property
-    def moving(self) -> list[Moving]:
-        """Returns the outputs that move, in short."""
-        outputs, hertz = [], self.omega / (2 * np.pi)
-        for i, name in enumerate(self.outputs):
-            size, outside = np.abs(self.measured[:, i]), self.outside[:, i]
-            if not np.all(np.isnan(outside)):
-                most, least = int(np.nanargmax(size)), int(np.nanargmax(outside))
-                places = float(size[most]), float(hertz[most]), float(outside[least]), float(hertz[least])
-                outputs.append(Moving(name, self.units[i], *places))
-        return outputs
+    def moving(self) -> list[int]:
+        """Returns the indices of the outputs that move."""
+        return [i for i in range(len(self.outputs)) if not np.all(np.isnan(self.outside[:, i]))]
 
     @property
     def worst_omega(self) -> float:

@@ -14,7 +14,7 @@ from models.laws.python_law import Programmed
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
-from sim.studies.frequency.describing_function import STEADY, DescribingFunction, Moving, describing_failures
+from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import AT, DISPUTED, MEASURED, RATIO, MinimumLoad
 from sim.studies.frequency.figure import HEIGHT, HERTZ, STEP
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
@@ -28,6 +28,7 @@ def error_digits(error: float) -> str:
     return f"{error:.1e}" if error else "0"
 
 
+HZ = 1 / (2 * math.pi)  # from rad/s
 TIME = Field[float]("time", lambda one: one, ".4g", unit="s")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
 PEAK = Field[DescribingFunction]("largest gain", lambda one: one.gains[one.worst], ".5g")
@@ -68,14 +69,14 @@ INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
     Field("difference", lambda of: of[1].error, error_digits),
 )
-MOVING: tuple[Field[tuple[str, Moving]], ...] = (
-    Field("controller", lambda of: of[0]),
-    Field("signal", lambda of: of[1].name.replace("_", " ")),
-    Field("unit", lambda of: f"{of[1].unit} per m/s"),
-    Field("fundamental", lambda of: of[1].largest, "{:.4g}".format),
-    Field("at [Hz]", lambda of: of[1].largest_at, "{:.3g}".format),
-    Field("energy outside", lambda of: of[1].outside, percent),
-    Field("at, in Hz", lambda of: of[1].outside_at, "{:.3g}".format),
+MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
+    Field("controller", lambda of: of[0].controller.name),
+    Field("signal", lambda of: of[0].outputs[of[1]].replace("_", " ")),
+    Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
+    Field("fundamental", lambda of: np.nanmax(np.abs(of[0].measured[:, of[1]])), "{:.4g}".format),
+    Field("at [Hz]", lambda of: of[0].omega[np.nanargmax(np.abs(of[0].measured[:, of[1]]))], "{:.3g}".format, HZ),
+    Field("energy outside", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
+    Field("at, in Hz", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
 )
 LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("controller", lambda of: of[0]),
@@ -114,7 +115,7 @@ def describe(
         tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, sweeps), *_details(sweeps)]
     if own:
         caption = "Describing functions: fundamentals per road velocity, and the energy at other frequencies."
-        moving = [(one.controller.name, signal) for one in own for signal in one.moving]
+        moving = [(one, i) for one in own for i in one.moving]
         detail = "normal" if len(moving) <= MANY else "full"
         tables.append(Table.of("describing-functions", caption, MOVING, moving, 3, detail=detail))
     return Document("Frequency response", (*text, *tables))
@@ -216,7 +217,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     what = f"{law.law.kind} {law.law.law}" if isinstance(law, Programmed) else law.text
     text = f"Linear analysis does not apply to {name} ({what}). It was driven over {count} sinusoids, one at a time."
     if not wild.all():
-        largest = f"{PEAK.cell(one)} at {HERTZ.text(one.worst_omega / (2 * math.pi))}"
+        largest = f"{PEAK.cell(one)} at {HERTZ.text(HZ * one.worst_omega)}"
         outside = SHARE.text(float(np.nanmax(one.outside)))
         text += f" The largest gain is {largest}. At most {outside} of a signal's energy is at other frequencies."
     yield Statement(text)
@@ -227,7 +228,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     if one.ended:
         yield Statement(f"{name} left the linear regime: {joined([*one.ended])}.")
     if one.drift > STEADY:
-        drift, period = SHARE.text(one.drift), HERTZ.text(one.omega[0] / (2 * math.pi))
+        drift, period = SHARE.text(one.drift), HERTZ.text(HZ * one.omega[0])
         yield Statement(f"{name} has not settled: a fundamental changed by {drift} in a period of {period}.")
     yield Statement(f"On other roads, or at other heights, the describing function of {name} can differ.", detail="full")
 
