@@ -46,22 +46,15 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
 def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     """Returns the section of an entry: its document with a figure of the responses that numbers are of."""
-    found = describe(entry, numbers)
-    panels = [panel for one in _first_of_each(numbers) if (panel := _panel(entry, numbers, one.printed)) is not None]
+    found, first = describe(entry, numbers), dict[tuple, PrintedNumber]()
+    for one in (number.printed for number in numbers):
+        first.setdefault((one.what in OF_A_RUN, one.vehicle, one.controller, one.signal, str(one.road), one.hertz), one)
+    panels = [panel for one in first.values() if (panel := _panel(entry, numbers, one)) is not None]
     if not panels:
         return found
     title = "Lines: linear analysis. Markers: MuJoCo. Dashed: the published number."
     figure = Figure(f"gallery-{entry.name}", title, tuple(panels), columns=min(len(panels), 3))
     return replace(found, blocks=(figure, *found.blocks))
-
-
-def _first_of_each(numbers: Sequence[ComparedNumber]) -> list[ComparedNumber]:
-    """Returns one number of each response."""
-    found: dict[tuple, ComparedNumber] = {}
-    for one in numbers:
-        of = one.printed
-        found.setdefault((of.what in OF_A_RUN, of.vehicle, of.controller, of.signal, str(of.road), of.hertz), one)
-    return [*found.values()]
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
@@ -75,35 +68,32 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
         hertz = np.geomspace(one.hertz / BAND, one.hertz * BAND, ABOUT)
         response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), 2 * np.pi * hertz)
         gain = np.abs(response[:, designer.vehicle.linear_model.outputs.index(one.signal), 0])
-        printed = _marker(np.array([one.hertz]), np.array([one.value / one.scale]))
+        at = np.array([one.hertz]), np.array([one.value / one.scale])
+        printed = Curve(*at, "printed", BLACK, "none", "D", name="printed")
         name = f"{one.signal.replace('_', ' ')} over the road's velocity"
         return Panel(name, "frequency [Hz]", "ratio [-]", (_line(hertz, gain), printed), xlog=True, ylog=True)
     if one.what == "norm":
-        loop = linear_of(designer, one).loop(designer.vehicle)
-        hertz = np.geomspace(LOW, HIGH, ABOUT)
+        loop, hertz = linear_of(designer, one).loop(designer.vehicle), np.geomspace(LOW, HIGH, ABOUT)
         gain = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, 2 * np.pi * hertz))
-        name = f"{one.text}: largest singular value"
-        return Panel(name, "frequency [Hz]", "gain [-]", (_line(hertz, gain), _level(hertz, one.value)), xlog=True, ylog=True)
+        curves = _line(hertz, gain), _level(hertz, one.value)
+        return Panel(f"{one.text}: largest singular value", "frequency [Hz]", "gain [-]", curves, xlog=True, ylog=True)
     return None
 
 
 def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> Panel:
     """Returns a signal over time, with the printed peaks on the side where the response has its own."""
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
-    every = max(len(time) // POINTS, 1)
-    some = thinned(exact, every)
-    marks = slice(None, None, max(len(time) // MARKS, 1))
+    some, marks = thinned(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))
     unit = one.unit or (run.vehicle.kind.signal(one.signal).unit if one.scale == 1 else "-")
     side = math.copysign(1.0, float(exact[np.abs(exact).argmax()]))
-    curves = [_line(time[some], exact[some])]
     physics = one.scale * run.physics[one.signal]
+    curves = [_line(time[some], exact[some])]
     curves.append(Curve(time[marks], physics[marks], "MuJoCo", VERMILLION, "none", "o", name="MuJoCo"))
     curves += [_level(time, side * peak.value) for peak in peaks]
     for peak in peaks:
         if peak.grid and time[-1] <= POINTS * peak.grid:
-            seen = np.arange(0, time[-1], peak.grid)
-            values = np.interp(seen, time, exact)
-            curves.append(Curve(seen, values, "the source's grid", BLACK, "none", "x", name="the source's grid"))
+            seen, name = np.arange(0, time[-1], peak.grid), "the source's grid"
+            curves.append(Curve(seen, np.interp(seen, time, exact), name, BLACK, "none", "x", name=name))
     label = f"{one.signal.replace('_', ' ')} [{unit.replace('s2', 's²')}]"
     return Panel(one.signal.replace("_", " "), "time [s]", label, tuple(curves))
 
@@ -114,7 +104,3 @@ def _line(x: Array, y: Array) -> Curve:
 
 def _level(x: Array, value: float) -> Curve:
     return Curve(x[[0, -1]], np.array([value, value]), "printed", BLACK, "dash", name="printed", width=1.0)
-
-
-def _marker(x: Array, y: Array) -> Curve:
-    return Curve(x, y, "printed", BLACK, "none", "D", name="printed")

@@ -20,7 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.document.field import Field, json_object
+from models.common.printed import finite
+from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -69,18 +70,7 @@ class MinimumLoad:
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
-RATIO = Field[MinimumLoad]("predicted", lambda one: one.ratio, ".2f", 100, "ratio")
-MEASURED = Field[MinimumLoad]("MuJoCo", lambda one: one.measured, ".2f", 100, "mujoco")
 LEFT = Field[float]("share of the load", lambda one: one, ".5f")
-AT = Field[MinimumLoad]("at Hz", lambda one: one.omega, ".2f", 1 / (2 * math.pi), "omega")
-IN_JSON = (
-    RATIO,
-    AT,
-    Field[MinimumLoad]("", lambda one: one.driven, key="driven"),
-    MEASURED,
-    Field[MinimumLoad]("", lambda one: one.allowed, key="allowed"),
-    Field[MinimumLoad]("", lambda one: list(one.ended), key="ended"),
-)
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
@@ -179,7 +169,15 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
     """Returns the minimum loads as a JSON object."""
-    return {
-        "disputed": DISPUTED.removeprefix("disputed: "),
-        "tyres": {one.tyre: json_object(IN_JSON, one) for one in loads},
+    tyres = {
+        one.tyre: {
+            "ratio": one.ratio,
+            "omega": one.omega,
+            "driven": one.driven,
+            "mujoco": finite(one.measured),
+            "allowed": finite(one.allowed),
+            "ended": list(one.ended),
+        }
+        for one in loads
     }
+    return {"disputed": DISPUTED.removeprefix("disputed: "), "tyres": tyres}

@@ -28,6 +28,7 @@ HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
 HERTZ = Field[float]("frequency", lambda one: one, ".3g", unit="Hz")
 PEAK = Field[float]("peak", lambda one: one, ".3g")
 SHARE = Field[float]("share", lambda one: one, ".0f", 100, unit="%")
+BAND = (LOWEST, HIGHEST)
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
@@ -73,27 +74,16 @@ def sweep_figure(
         for signal in signals:
             i = one.outputs.index(signal)
             if np.any(moves := ~np.isnan(one.outside[:, i])):
-                hertz, points = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i])
+                at = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i]), name
                 seen = f"{name}, fundamental in MuJoCo"
-                curves[signal].append(Curve(hertz, points, name, look.color, "none", look.marker, name=seen, filled=True))
+                curves[signal].append(Curve(*at, look.color, "none", look.marker, name=seen, filled=True))
     signals = [name for name in signals if curves[name]]
-
     panels = []
     for name in signals:
         signal = vehicle.kind.signal(name)
         unit = signal.unit.replace("s2", "s²")
-        panels.append(
-            Panel(
-                title=f"{name.replace('_', ' ')}, {signal.symbol}",
-                xlabel="frequency [Hz]",
-                ylabel=f"per road velocity [{unit} per m/s]",
-                curves=tuple(curves[name]),
-                xlog=True,
-                ylog=True,
-                xticks=TICKS,
-                xlim=(LOWEST, HIGHEST),
-            )
-        )
+        title, label = f"{name.replace('_', ' ')}, {signal.symbol}", f"per road velocity [{unit} per m/s]"
+        panels.append(Panel(title, "frequency [Hz]", label, tuple(curves[name]), xlog=True, ylog=True, xticks=TICKS, xlim=BAND))
     ended = sorted({name for one in (*sweeps, *own) for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.undelayed else ", ".join(how.without_noise.phrases)

@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
-from sim.studies.frequency.eusama import AT, DISPUTED, MEASURED, RATIO, MinimumLoad
+from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
 from sim.studies.frequency.figure import HEIGHT, HERTZ, STEP
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.studies.frequency.sweep import GAIN, Sweep, failures
@@ -81,9 +81,9 @@ MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
 LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("controller", lambda of: of[0]),
     Field("wheel's", lambda of: of[1].tyre.replace("_", " ")),
-    RATIO.of(lambda of: of[1], "least load, predicted [%]"),
-    MEASURED.of(lambda of: of[1], "MuJoCo [%]"),
-    AT.of(lambda of: of[1], "at [Hz]"),
+    Field("least load, predicted", lambda of: of[1].ratio, ".2f", 100, unit="%"),
+    Field("MuJoCo", lambda of: of[1].measured, ".2f", 100, unit="%"),
+    Field("at", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
     Field("linear regime ended by", lambda of: of[1].end or "-"),
 )
 

@@ -27,6 +27,7 @@ from synth.vehicle.paper import ours
 OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
+REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
 ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
@@ -48,41 +49,17 @@ class ComparedNumber:
     grid: float | None = None
 
     @property
-    def reproduced(self) -> bool:
-        """True if the exact number rounds to the printed digits, or that on the source's grid where no reason is given."""
-        return self._rounds(self.exact) or self.on_its_grid
-
-    @property
-    def on_its_grid(self) -> bool:
-        """True if it is reproduced on the source's grid alone."""
-        there = self.grid is not None and not self.printed.reason and self._rounds(self.grid)
-        return there and not self._rounds(self.exact)
-
-    def _rounds(self, value: float) -> bool:
-        return abs(value - self.printed.value) <= self.printed.half_digit
-
-    @property
-    def explained(self) -> bool:
-        """True if it differs by no more than the entry's reason explains."""
-        most = self.printed.half_digit + self.printed.within * abs(self.printed.value)
-        return bool(self.printed.reason) and abs(self.exact - self.printed.value) <= most
-
-    @property
-    def wrong(self) -> bool:
-        """True if it is neither reproduced nor explained."""
-        return not self.reproduced and not self.explained
-
-    @property
-    def shown_exact(self) -> str:
-        """The exact number with 9 digits, or with all if the source prints more."""
-        return f"{self.exact:.{17 if self.printed.digits > 12 else 9}g}"
-
-    @property
     def verdict(self) -> str:
-        """Verdict in words."""
-        if self.reproduced:
-            return "reproduced on its grid" if self.on_its_grid else "reproduced"
-        return "differs" if self.explained else "NOT REPRODUCED"
+        """The verdict: the exact value, or without a reason the one on the source's grid, rounds to all published digits; it
+        differs by no more than the reason explains; or neither.
+        """
+        one, off = self.printed, abs(self.exact - self.printed.value)
+        half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
+        if off <= half:
+            return REPRODUCED
+        if self.grid is not None and not one.reason and abs(self.grid - one.value) <= half:
+            return ON_ITS_GRID
+        return DIFFERS if one.reason and off <= half + one.within * abs(one.value) else WRONG
 
 
 @cache

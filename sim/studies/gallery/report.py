@@ -7,7 +7,7 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, json_object
 from models.document.text import joined
 from sim.studies.gallery.entries import PAPER, SOURCES, Entry
-from sim.studies.gallery.numbers import ComparedNumber
+from sim.studies.gallery.numbers import DIFFERS, ON_ITS_GRID, REPRODUCED, WRONG, ComparedNumber
 
 Result = tuple[Entry, Sequence[ComparedNumber]]
 
@@ -15,7 +15,7 @@ NUMBERS: tuple[Field[ComparedNumber], ...] = (
     Field("number", lambda one: one.printed.text, key="number"),
     Field("where", lambda one: one.printed.where, key="where", detail="full"),
     Field("printed", lambda one: one.printed.shown),
-    Field("exact", lambda one: one.shown_exact),
+    Field("exact", lambda one: f"{one.exact:.{17 if one.printed.digits > 12 else 9}g}"),
     Field("grid", lambda one: one.grid, ".7g", key="grid"),
     Field("MuJoCo", lambda one: one.mujoco, ".7g", key="mujoco"),
     Field("verdict", lambda one: one.verdict, key="verdict"),
@@ -23,25 +23,24 @@ NUMBERS: tuple[Field[ComparedNumber], ...] = (
 COUNTS: tuple[Field[Result], ...] = (
     Field("entry", lambda of: of[0].name),
     Field("source", lambda of: of[0].title, detail="full"),
-    Field("reproduced", lambda of: str(sum(one.reproduced for one in of[1]))),
-    Field("differ", lambda of: str(sum(not one.reproduced and one.explained for one in of[1]))),
-    Field("NOT REPRODUCED", lambda of: str(sum(one.wrong for one in of[1]))),
+    Field(REPRODUCED, lambda of: str(sum(one.verdict in (REPRODUCED, ON_ITS_GRID) for one in of[1]))),
+    *(Field[Result](word, lambda of, word=word: str(sum(one.verdict == word for one in of[1]))) for word in (DIFFERS, WRONG)),
     Field("not expressible", lambda of: str(len(of[0].missing))),
 )
 
 
 def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     """Returns the document of an entry."""
-    wrong = [f"{one.printed.text} is NOT REPRODUCED: {one.shown_exact}, not {one.printed.shown}." for one in numbers if one.wrong]
-    differ = [one for one in numbers if not one.reproduced and one.explained]
+    wrong, exact = [one for one in numbers if one.verdict == WRONG], NUMBERS[3]
+    fails = [f"{one.printed.text} is {WRONG}: {exact.cell(one)}, not {one.printed.shown}." for one in wrong]
     origin = f"Entry `{entry.name}`.", entry.about, f"Source: {entry.source}. Licence: {entry.licence}."
     text = [" ".join(filter(None, origin))]
-    text += dict.fromkeys(f"Reason of a difference: {one.printed.reason}." for one in differ)
+    text += dict.fromkeys(f"Reason of a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
     text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
     text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
     shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]
     tables = [Table.of(f"gallery-{entry.name}", "Published numbers and ours.", shown, numbers, 2)] if numbers else []
-    return Document(entry.title, (*(Statement(one, "fails", "brief") for one in wrong), *notes(*text), *tables))
+    return Document(entry.title, (*(Statement(one, "fails") for one in fails), *notes(*text), *tables))
 
 
 def summary(results: Sequence[Result]) -> Document:
@@ -50,7 +49,7 @@ def summary(results: Sequence[Result]) -> Document:
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*counts, strict=True))
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)
     text = f"{reproduced} numbers are reproduced to all digits, and {differ} differ for a known reason"
-    text += f"; {wrong} are NOT REPRODUCED." * bool(wrong) or "."
+    text += f"; {wrong} are {WRONG}." * bool(wrong) or "."
     more = [f"{missing} numbers cannot be expressed in a vehicle file."] if missing else []
     more += [f"{derived} numbers follow from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
