@@ -14,7 +14,7 @@ from sim.linear.frequency_response import continuous_frequency_response, sampled
 from sim.studies.frequency.figure import drawn_line
 from sim.studies.frequency.identification import identify
 from sim.studies.frequency.report import describe
-from sim.studies.frequency.sweep import failures, sweep
+from sim.studies.frequency.sweep import failures, holds, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
 from synth.vehicle.designer import Designer
@@ -40,6 +40,7 @@ def test_a_failed_claim_is_the_state_of_the_document(paper, some):
         assert describe(paper, [one.lines for one in sweeps], sweeps, [], 1e-4, STEP).state == state
     (failed,) = [one.text for one in describe(paper, [worse.lines], [worse], [], 1e-4, STEP).statements if one.state == "fails"]
     assert failed.startswith(f"`{SOME[0]}` DOES NOT AGREE: a line of ")
+    assert [holds(one) for one in (worse, *some)] == [False, True, True]  # the exit code
 
 
 def test_lines(some):

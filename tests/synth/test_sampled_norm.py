@@ -1,6 +1,5 @@
 """The L2 gain of loops that a computer closes: known numbers, two routes, its limits, and the worst road in MuJoCo."""
 
-import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -29,8 +28,8 @@ from synth.controller.implementation_norm import norm_as_implemented, sampled_lo
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import design
 from tests.support.analysed import implemented_loop, simulate
-from tests.support.commands import attacks, once, prose
-from tests.support.shared import made, share
+from tests.support.commands import attacks
+from tests.support.shared import made
 
 PROVED = 2e-8  # relative: the levels on either side of the norm are 1.1e-8 apart
 
@@ -339,52 +338,6 @@ def test_a_road_under_each_wheel():
     slopes = np.gradient(heights, time, axis=0)
     assert slopes[1:-1] == pytest.approx(rates[1:-1], abs=3e-3)  # (40 * 1.25e-3)^2 / 6 of a rate of about 5
     assert road.highest(time) == pytest.approx(np.abs(heights).max(), rel=1e-9)
-
-
-@pytest.fixture
-def of_one_sweep(monkeypatch):
-    """Words and `--json` are of one sweep, and all sweeps of a vehicle of the same lines, sinusoids, loads, norm and road."""
-    monkeypatch.setattr(sim.studies.frequency.sweep, "sweep", once(sim.studies.frequency.sweep.sweep))
-    share(monkeypatch, sim.studies.frequency.sweep, "identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_roads")
-
-
-@pytest.fixture(scope="module")
-def car(tmp_path_factory):
-    """The paper's vehicle with a slower computer, whose file is one for all."""
-    path = tmp_path_factory.mktemp("cars") / "car.toml"
-    path.write_text(read_vehicle("quarter_car").text + SAMPLED)
-    return path
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [
-        (1.0, []),
-        (0.99, ["the prediction is", "the norm of the sampled loop is 7.865064"]),
-        (1.001, ["the prediction is", "the norm of the sampled loop is 7.865064"]),
-        (None, []),
-    ],
-)
-def test_a_false_gain_is_a_failure(capsys, car, monkeypatch, of_one_sweep, factor, words):
-    """A sweep of a slow computer has gain and norm in its JSON; a false one is a failure; without a computer there is none."""
-
-    def other(*arguments):
-        (found,) = made(worst_roads, *arguments)
-        return [None if found is None else replace(found, gain=factor * found.gain)]
-
-    monkeypatch.setattr(sim.studies.frequency.sweep, "worst_roads", other)
-    arguments = ["--vehicle", "quarter_car" if factor is None else str(car), "--controller", "I", "--timestep", "2e-3"]
-    code = main([*arguments, "--json"])
-    (found,) = json.loads(capsys.readouterr().out)["sweeps"]
-    assert main(arguments) == code == bool(words)
-    printed = prose(capsys.readouterr().out)
-    assert [part in failure for part, failure in zip(words, found["failures"], strict=True)] == [True] * len(words)
-    assert all(f"I DOES NOT AGREE: {failure}" in printed for failure in found["failures"][:1])
-    assert ("worst_road" in found) == (factor is not None)
-    if factor is not None:
-        assert found["sampled_norm"] == pytest.approx(7.8651, rel=1e-5)  # of five digits
-        assert max(found["gains"].values()) < found["sampled_norm"]
 
 
 @pytest.mark.attack
