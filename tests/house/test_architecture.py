@@ -68,7 +68,7 @@ ROOMS = {
     "sim.drive": "sim.command",
     "sim.envelope": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
-    "sim.gallery": "sim.studies",
+    "sim.gallery": "models.document sim.studies",
     "sim.inspect": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
     "sim.margins": "models.document models.vehicle synth.controller synth.vehicle sim.command sim.linear sim.runs sim.studies",

@@ -55,8 +55,6 @@ NORMS: tuple[Field[Sweep], ...] = (
     GAINS[0],
     Field("norm, continuous", lambda one: NORM.value(one.controller.certificate), NORM.form),
     Field("held-road norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s"),
-)
-ROADS: tuple[Field[Sweep], ...] = (
     Field("norm, sampled", lambda one: one.sampled and one.sampled.value, GAIN.form),
     Field("worst road", lambda one: one.road and one.road.gain, GAIN.form),
     Field("its timestep", lambda one: one.road and one.road.timestep, ".4g", 1e3, unit="ms"),
@@ -146,13 +144,14 @@ def _largest(one: Sweep | None) -> str:
     """Returns a sentence on the gains of a sweep whose claims hold, or an empty one without a sweep."""
     if one is None:
         return ""
-    reached = one.extremes.lti or (one.road is not None and not one.road.twisted)
     if one.extremes.lti:
         text = "The worst sinusoid reaches the held-road norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
+    elif one.road is not None and not one.road.twisted:
+        text = "The worst road reaches the norm of the sampled loop"
     else:
-        text = f"{'The worst road reaches' if reached else 'No gain exceeds'} the norm of the sampled loop"
+        text = "No gain exceeds the norm of the sampled loop"
     return f"{text}; the invariants hold." if one.extremes.invariants else f"{text}."
 
 
@@ -177,16 +176,11 @@ def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterat
     """Yields the notes on norms and gains."""
     if not sweeps:
         return
-    if steps_per_sample(vehicle.implementation, timestep) == 1:
-        yield (
-            "The held-road norm is that of the sampled loop on roads that are constant during each timestep, as in MuJoCo. A "
-            "road that moves during a timestep can have a larger gain."
-        )
+    held = "The held-road norm is that of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
+    if steps_per_sample(vehicle.implementation, timestep) > 1:
+        yield f"{held} It omits the other frequencies that a force held over several timesteps adds, so a gain can be larger."
     else:
-        yield (
-            "Each force is held over several timesteps, which adds other frequencies to a sinusoid. The held-road norm omits "
-            "them, so a gain can be larger."
-        )
+        yield f"{held} A road that moves during a timestep can have a larger gain."
     if len(vehicle.kind.wheels) > 1:
         yield "All wheels meet the same road here. The norms of the designs allow a different road under each wheel."
     if inside := [one.controller.name for one in sweeps if one.sampled is not None and one.road is None]:
@@ -202,7 +196,7 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
     yield Table.of(
         "signals", "Largest relative errors of the frequency responses, by signal.", SIGNALS, signals, 2, detail="full"
     )
-    fields = (*NORMS, *ROADS) if any(one.sampled for one in sweeps) else NORMS
+    fields = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
     yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", fields, sweeps, detail="full")
     if invariants := [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]:
         caption = "Transmissibilities from the road that no suspension force can change."

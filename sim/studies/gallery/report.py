@@ -54,10 +54,8 @@ def summary(results: Sequence[Result]) -> Document:
     more += [f"{derived} numbers follow from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
     if any(entry.name == PAPER for entry, _ in results):
-        more.append(
-            f"Of {len(SOURCES)} published sources, {len(with_numbers)} have numbers here. For {len(without)}, the entry explains "
-            f"why there is none: {joined(without)}."
-        )
+        more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
+        more.append(f"The entries explain why {joined(without)} have no numbers.")
     table = Table.of("gallery", "The entries, and how many of their numbers are reproduced.", COUNTS, results, 2, detail="brief")
     state = "fails" if wrong else "holds"
     return Document("", (table, Statement(text, state, "brief"), *notes(*more, detail="brief")), "brief")
