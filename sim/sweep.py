@@ -60,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
+    from sim.studies.frequency.describing_function import describing_function
     from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
@@ -84,12 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
-    lawful = [one for one in controllers if not isinstance(one, Controller)]
-    own: list[DescribingFunction] = []
-    if lawful:
-        from sim.studies.frequency.describing_function import describing_function
-
-        own = [describing_function(vehicle, one, *how) for one in lawful]
+    own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
     stage("picture and logs")
     if options.picture is not None:
         from models.document.figure import styles
@@ -102,9 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sweeps: list[Sweep | DescribingFunction] = sorted([*swept, *own], key=lambda one: names.index(one.controller.name))
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],
-        "amplitude": options.amplitude,
-        "timestep": options.timestep,
-        "speed": options.speed,
+        **{key: getattr(options, key) for key in ("amplitude", "timestep", "speed")},
         **left_out_object(names, driven),
     }
     logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
@@ -115,13 +109,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from models.document.text import text_lines
         from sim.studies.frequency.report import describe, workshop
 
-        detail = "full" if options.verbose else "normal"
         found = describe(vehicle, [one.lines for one in swept], swept, own, *how[:2])
-        _, *lines = text_lines(found, detail)
+        _, *lines = text_lines(found, "full" if options.verbose else "normal")
         if options.verbose and swept:
-            lines += ["", *text_lines(workshop(vehicle, swept), detail)]
+            lines += ["", *text_lines(workshop(vehicle, swept))]
         elif swept:
-            lines.append("  -v adds every signal, invariants, sampled norms and EUSAMA's least load")
+            lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
         omitted = left_out_lines(omitted_controllers(vehicle, options.controller, names))
         title = titled(f"{found.title} of {vehicle.kind.name}", vehicle.source)
         say([*title, *lines, *written_lines(outputs), *log_lines([logs]), *omitted])

@@ -62,11 +62,6 @@ class DescribingFunction:
     ended: tuple[str, ...]
 
     @property
-    def worst(self) -> int:
-        """Returns the index of the frequency with the largest gain."""
-        return int(np.argmax(np.nan_to_num(self.gains)))
-
-    @property
     def moving(self) -> list[int]:
         """Returns the indices of the outputs that move."""
         return [i for i in range(len(self.outputs)) if not np.all(np.isnan(self.outside[:, i]))]
@@ -74,7 +69,7 @@ class DescribingFunction:
     @property
     def worst_omega(self) -> float:
         """Returns the frequency with the largest gain [rad/s]."""
-        return float(self.omega[self.worst])
+        return float(self.omega[np.argmax(np.nan_to_num(self.gains))])
 
 
 def describing_function(

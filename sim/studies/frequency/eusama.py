@@ -169,15 +169,8 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
     """Returns the minimum loads as a JSON object."""
-    tyres = {
-        one.tyre: {
-            "ratio": one.ratio,
-            "omega": one.omega,
-            "driven": one.driven,
-            "mujoco": finite(one.measured),
-            "allowed": finite(one.allowed),
-            "ended": list(one.ended),
-        }
-        for one in loads
-    }
+    tyres = {}
+    for one in loads:
+        found = {"mujoco": finite(one.measured), "allowed": finite(one.allowed), "ended": list(one.ended)}
+        tyres[one.tyre] = {"ratio": one.ratio, "omega": one.omega, "driven": one.driven, **found}
     return {"disputed": DISPUTED.removeprefix("disputed: "), "tyres": tyres}

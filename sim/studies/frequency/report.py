@@ -31,7 +31,7 @@ def error_digits(error: float) -> str:
 HZ = 1 / (2 * math.pi)  # from rad/s
 TIME = Field[float]("time", lambda one: one, ".4g", unit="s")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
-PEAK = Field[DescribingFunction]("largest gain", lambda one: one.gains[one.worst], ".5g")
+PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")
 RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
@@ -193,12 +193,11 @@ def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterat
 def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
     """Yields the tables for -v."""
     signals = [(one.lines, i) for one in sweeps for i in range(len(one.lines.outputs))]
-    yield Table.of(
-        "signals", "Largest relative errors of the frequency responses, by signal.", SIGNALS, signals, 2, detail="full"
-    )
-    fields = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
-    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", fields, sweeps, detail="full")
-    if invariants := [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]:
+    invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
+    norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
+    yield Table.of("signals", "Largest errors of the frequency responses of each signal.", SIGNALS, signals, 2, detail="full")
+    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, sweeps, detail="full")
+    if invariants:
         caption = "Transmissibilities from the road that no suspension force can change."
         yield Table.of("invariants", caption, INVARIANTS, invariants, 2, detail="full")
 
