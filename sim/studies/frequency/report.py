@@ -10,7 +10,6 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, at_most
 from models.document.reading import MANY
 from models.document.text import joined, names_text
-from models.laws.python_law import Programmed
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
@@ -206,9 +205,9 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     """Yields statements on a nonlinear law: its largest gain, and the runs that were not measured."""
     name, count, wild = as_name(one.controller.name), len(one.omega), np.isfinite(one.diverged)
     yield from (Statement(f"{name}: {text}.", "fails") for text in describing_failures(one))
-    law = one.controller
-    what = f"{law.law.kind} {law.law.law}" if isinstance(law, Programmed) else law.text
-    text = f"Linear analysis does not apply to {name} ({what}). It was driven over {count} sinusoids, one at a time."
+    text = (
+        f"Linear analysis does not apply to {name}, {one.controller.kind}. It was driven over {count} sinusoids, one at a time."
+    )
     if not wild.all():
         largest = f"{PEAK.cell(one)} at {HERTZ.text(HZ * one.worst_omega)}"
         outside = SHARE.text(float(np.nanmax(one.outside)))

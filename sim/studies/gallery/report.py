@@ -50,7 +50,7 @@ def summary(results: Sequence[Result]) -> Document:
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)
     text = f"{reproduced} numbers are reproduced to all digits, and {differ} differ for a known reason"
     text += f"; {wrong} are {WRONG}." * bool(wrong) or "."
-    more = [f"{missing} numbers cannot be expressed in a vehicle file."] if missing else []
+    more = [f"Not expressible in a vehicle file: {missing}."] if missing else []
     more += [f"{derived} numbers follow from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
     if any(entry.name == PAPER for entry, _ in results):
