@@ -88,10 +88,8 @@ def _text(node: ast.AST) -> str:
 
 
 def _formats(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Call):
-        called = node.func.value if isinstance(node.func, ast.Subscript) else node.func
-        if isinstance(called, ast.Name) and called.id.endswith(("Column", "Field", "Error")):
-            return
+    if isinstance(node, ast.Call) and getattr(getattr(node.func, "value", node.func), "id", "").endswith(("Field", "Error")):
+        return
     spec = node.value if isinstance(node, ast.Constant) else None
     if isinstance(node, ast.FormattedValue) and node.format_spec:
         spec, node = ast.unparse(node.format_spec)[2:-1], node.value  # without f and the quotes
