@@ -127,23 +127,19 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     """Returns the failed claims of a sweep, in words; of a nonlinear law, without claims, that nothing was measured."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
-    why = f"; this omits rounding to {_rounds(one)}: give a larger --amplitude" if _rounds(one) else ""
-    return [text + why for text in _failures(one)]
-
-
-def _rounds(one: Sweep) -> str:
-    """Returns the numbers of exported code that has fixed point; empty without such code."""
     code = code_of(one.controller)
-    return code.law.numbers if code is not None and code.law.fixed is not None else ""
+    rounds = code.law.numbers if code is not None and code.law.fixed is not None else ""
+    why = f"; this omits rounding to {rounds}: give a larger --amplitude" if rounds else ""
+    return [text + why for text in _failures(one, bool(rounds))]
 
 
-def _failures(one: Sweep) -> list[str]:
-    """Returns the failed claims of a linear law, in words."""
+def _failures(one: Sweep, rounds: bool) -> list[str]:
+    """Returns the failed claims of a linear law, in words; `rounds` is True for exported code with fixed point."""
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
     # What turning makes of a line goes with the road's height.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
-        why = "; the timestep is too coarse, give a smaller one" if coarse and not _rounds(one) else ""
+        why = "; the timestep is too coarse, give a smaller one" if coarse and not rounds else ""
         failed.append(f"a line of {signal} is {OFF.text(off)} off the sampled response; {OFF.text(allowed)} is allowed{why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
@@ -203,9 +199,7 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
         "omega": lines.omega.tolist(),
         "signals": {
             name: {
-                "measured": finite_pairs(lines.measured[:, i]),
-                "sampled": finite_pairs(lines.sampled[:, i]),
-                "continuous": finite_pairs(lines.continuous[:, i]),
+                **{key: finite_pairs(getattr(lines, key)[:, i]) for key in ("measured", "sampled", "continuous")},
                 "error": {key: finite(value[i]) for key, value in error.items()},
             }
             for i, name in enumerate(lines.outputs)
