@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from models.document.picture import write_picture
         from sim.studies.frequency.figure import sweep_figure
 
-        figure = sweep_figure(vehicle, [one.lines for one in swept], *how, styles(tuple(names)), own)
+        figure = sweep_figure(vehicle, [one.lines for one in swept], *how[1:], styles(tuple(names)), own)
         write_picture(figure, options.picture)
 
     sweeps: list[Sweep | DescribingFunction] = sorted([*swept, *own], key=lambda one: names.index(one.controller.name))

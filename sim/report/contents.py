@@ -180,7 +180,7 @@ def _frequencies(scope: Scope) -> list[Document]:
     if not lines and not own:
         return []
     found = describe(vehicle, lines, sweeps, own, *how[:2])
-    section = replace(found, blocks=(sweep_figure(vehicle, lines, *how, scope.styles, own), *found.blocks))
+    section = replace(found, blocks=(sweep_figure(vehicle, lines, *how[1:], scope.styles, own), *found.blocks))
     return [section, *([workshop(vehicle, sweeps)] if sweeps else [])]
 
 

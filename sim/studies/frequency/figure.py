@@ -24,7 +24,6 @@ POINTS = 600  # of a line, as far apart as a hundredth of their frequency
 CLOSELY = 41  # more where it is largest or least
 EVERY = 2  # of the identified lines, which one is drawn
 STEP = Field[float]("timestep", lambda one: one, "g", 1e3, unit="ms")
-HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
 HERTZ = Field[float]("frequency", lambda one: one, ".3g", unit="Hz")
 PEAK = Field[float]("peak", lambda one: one, ".3g")
 SHARE = Field[float]("share", lambda one: one, ".0f", 100, unit="%")
@@ -35,7 +34,6 @@ TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 def sweep_figure(
     vehicle: Vehicle,
     sweeps: Sequence[Lines],
-    amplitude: float,
     timestep: float,
     speed: float,
     style: Mapping[str, Style],
@@ -45,7 +43,6 @@ def sweep_figure(
 
     Args:
         vehicle: the vehicle, whose weighted signals are drawn.
-        amplitude: largest height of the roads [m].
         timestep: timestep of the physics [s].
         speed: forward velocity [m/s].
         style: colour and line style of every controller.
@@ -88,10 +85,7 @@ def sweep_figure(
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.undelayed else ", ".join(how.without_noise.phrases)
     full = "; full ones: fundamentals over single sinusoids" if own else ""
-    title = (
-        f"Response to road velocity. Lines: linear analysis, {loop}. Markers: MuJoCo at {STEP.text(timestep)}, on roads of "
-        f"{HEIGHT.text(amplitude)}{full}{regime}"
-    )
+    title = f"Lines: linear analysis, {loop}. Markers: MuJoCo at {STEP.text(timestep)}{full}{regime}."
     body = next((name for name in signals if name.endswith("acceleration")), signals[0])
     columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
     finding = _lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)

@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
-from sim.studies.frequency.figure import HEIGHT, HERTZ, STEP
+from sim.studies.frequency.figure import HERTZ, STEP
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
 from sim.studies.frequency.sweep import GAIN, Sweep, failures
 from sim.studies.frequency.worst_case_gain import MeasuredInvariant
@@ -28,6 +28,7 @@ def error_digits(error: float) -> str:
 
 
 HZ = 1 / (2 * math.pi)  # from rad/s
+HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
 TIME = Field[float]("time", lambda one: one, ".4g", unit="s")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
 PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")
