@@ -1,4 +1,4 @@
-"""`python -m sim.gallery`: numbers that others printed, beside what comes out here."""
+"""`python -m sim.gallery`: published numbers next to ours."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -41,9 +41,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: an entry is unknown.
     """
     options = parser().parse_args(arguments)
+    from models.document.document import Document
+    from models.document.text import text_lines
     from sim.studies.gallery.entries import names, read_entry
     from sim.studies.gallery.numbers import compared
-    from sim.studies.gallery.summary import brief_lines, entry_lines, entry_object, last_lines, sources_object
+    from sim.studies.gallery.report import describe, gallery_object, summary
 
     entries = [read_entry(name) for name in dict.fromkeys(options.name or names())]
     stage, results = Stages(*(entry.name for entry in entries)), []
@@ -51,10 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stage(entry.name)
         results.append((entry, compared(entry)))
     stage.end()
+    whole = Document("", (*(describe(*each) for each in results), summary(results)))
     if options.json:
-        print(json.dumps({"entries": [entry_object(*each) for each in results], **sources_object(entries)}, allow_nan=False))
-    elif options.brief:
-        say([*brief_lines(results), "", *last_lines(results)])
+        print(json.dumps(gallery_object(results), allow_nan=False))
     else:
-        say([*(line for each in results for line in entry_lines(*each)), *last_lines(results)])
-    return 1 if any(one.wrong for _, numbers in results for one in numbers) else 0
+        say(text_lines(whole, "brief" if options.brief else "normal"))
+    return 1 if whole.state == "fails" else 0

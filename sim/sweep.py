@@ -46,7 +46,7 @@ def parser() -> Parser:
     add_exported(parser)
     parser.add_logs("each controller over its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib")
-    parser.add_printed("every signal, invariant and road of each controller, as for a single controller")
+    parser.add_printed("errors of each signal, invariants, sampled norms and EUSAMA's minimum loads")
     return parser
 
 
@@ -57,23 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = parser().parse_args(arguments)
-    import numpy as np
-
     from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
-    from sim.linear.nonlinear_elements import at_rest_words
-    from sim.studies.frequency.sweep import (
-        EXTREMES,
-        LINES,
-        OWN,
-        holds,
-        short_lines,
-        summary_lines,
-        sweep,
-        sweep_lines,
-        sweep_object,
-    )
+    from sim.studies.frequency.describing_function import describing_function
+    from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
@@ -97,27 +85,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
-    lawful = [one for one in controllers if not isinstance(one, Controller)]
-    own: list[DescribingFunction] = []
-    if lawful:
-        from sim.studies.frequency.describing_function import describing_function
-
-        own = [describing_function(vehicle, one, *how) for one in lawful]
+    own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
     stage("picture and logs")
     if options.picture is not None:
         from models.document.figure import styles
         from models.document.picture import write_picture
         from sim.studies.frequency.figure import sweep_figure
 
-        figure = sweep_figure(vehicle, [one.lines for one in swept], *how, styles(tuple(names)), own)
+        figure = sweep_figure(vehicle, [one.lines for one in swept], *how[1:], styles(tuple(names)), own)
         write_picture(figure, options.picture)
 
     sweeps: list[Sweep | DescribingFunction] = sorted([*swept, *own], key=lambda one: names.index(one.controller.name))
     result = {
         "sweeps": [sweep_object(one) for one in sweeps],
-        "amplitude": options.amplitude,
-        "timestep": options.timestep,
-        "speed": options.speed,
+        **{key: getattr(options, key) for key in ("amplitude", "timestep", "speed")},
         **left_out_object(names, driven),
     }
     logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
@@ -125,28 +106,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
     else:
-        hertz = (swept or own)[0].omega / (2 * np.pi)
-        lines = titled(
-            f"{vehicle.kind.name} at {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, "
-            f"on roads of {options.amplitude:g} m, with steps of {options.timestep:g} s",
-            vehicle.source,
-        )
-        lines += filter(None, [at_rest_words(vehicle) if swept else ""])
-        if options.verbose or len(sweeps) == 1:
-            for one in sweeps:
-                lines += ["", *sweep_lines(one)]
-        else:
-            lines += ["", *short_lines(sweeps)]
-        say(
-            [
-                *lines,
-                *written_lines(outputs),
-                *log_lines([logs]),
-                *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
-                "",
-                *summary_lines(sweeps),
-            ]
-        )
+        from models.document.text import text_lines
+        from sim.studies.frequency.report import describe, workshop
+
+        found = describe(vehicle, [one.lines for one in swept], swept, own, *how[:2])
+        _, *lines = text_lines(found, "full" if options.verbose else "normal")
+        if options.verbose and swept:
+            lines += ["", *text_lines(workshop(vehicle, swept))]
+        elif swept:
+            lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
+        omitted = left_out_lines(omitted_controllers(vehicle, options.controller, names))
+        title = titled(f"{found.title} of {vehicle.kind.name}", vehicle.source)
+        say([*title, *lines, *written_lines(outputs), *log_lines([logs]), *omitted])
     return 0 if all(map(holds, sweeps)) and len(driven) == len(names) else 1
 
 

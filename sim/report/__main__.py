@@ -234,7 +234,7 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names, read_entry
     from sim.studies.gallery.numbers import compared
-    from sim.studies.gallery.summary import entry_object, last_lines, sources_object
+    from sim.studies.gallery.report import gallery_object
 
     repeated = {
         name
@@ -257,11 +257,9 @@ def _gallery(options: argparse.Namespace) -> int:
     _write(page, outputs)
     stage.end()
     if options.json:
-        entries = [entry_object(*each) for each in results]
-        whole = {"entries": entries, **sources_object([entry for entry, _ in results]), **written(outputs)}
-        print(json.dumps(whole, allow_nan=False))
+        print(json.dumps({**gallery_object(results), **written(outputs)}, allow_nan=False))
     else:
-        say([*written_lines(outputs)[1:], "", *last_lines(results)])
+        say([*written_lines(outputs)[1:], "", page.headline, *page.lead])
     return 1 if page.state == "fails" else 0
 
 

@@ -17,15 +17,17 @@ from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section, road_section
 from sim.report.best import dives, headline, lead, titled
-from sim.report.designs import design_section, frequency_section, paper_section
-from sim.report.loads import loads_section, workshop_section
+from sim.report.designs import design_section, paper_section
+from sim.report.loads import loads_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
+from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import ideal_measurements, identify
-from sim.studies.frequency.sweep import OWN, sweep
+from sim.studies.frequency.report import describe, workshop
+from sim.studies.frequency.sweep import OWN, Sweep, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
 from sim.studies.validity.grid import grid, read_axes
@@ -81,7 +83,7 @@ def report(
     ends = list(zip(scope.stable, regime_ends(ideal_measurements(vehicle), scope.stable, bump, short), strict=True))
     parts = results()
 
-    frequencies: Frequencies = parts[FREQUENCIES, ""]
+    frequencies: list[Document] = parts[FREQUENCIES, ""]
     rides: list[Ride]
     rides, over_roads = parts.get((RIDE, ""), ([], []))
     samples, measured = (0, None), []
@@ -98,8 +100,7 @@ def report(
         *report_answer.left_out(scope),
     ]
     sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
-    if frequencies.section is not None:
-        sections.append(frequencies.section)
+    sections += frequencies[:1]
     driven = road_section(scope, runs, measured, when) if measured else bump_section(scope, runs, bump)
     sections += [driven, agreement_section(scope, runs, finer)]
     if ends:
@@ -110,8 +111,7 @@ def report(
         sections += [parts[MARGINS, ""], compare_maps(maps, scope.map_timestep, scope.noise_qualifier)]
     if rides:
         sections.append(ride_section(vehicle, rides, scope.styles))
-    if frequencies.workshop is not None:
-        sections.append(frequencies.workshop)
+    sections += frequencies[1:]
     sections += [parts[name, ""] for name in (LOADS, EXPORTED, FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
     answer += [one for section in sections for one in section.statements if one.state != "note"]
@@ -164,35 +164,24 @@ def pieces_of(scope: Scope) -> dict[Name, Piece]:
     return pieces
 
 
-@dataclass(frozen=True, eq=False)
-class Frequencies:
-    """Results on sinusoids.
-
-    Attributes:
-        section: section on frequency responses, or None without any.
-        workshop: section on a workshop's plate, or None in a quick report.
-    """
-
-    section: Document | None
-    workshop: Document | None
-
-
-def _frequencies(scope: Scope) -> Frequencies:
-    """Frequency responses and the norm, measured."""
-    vehicle, h, speed = scope.vehicle, scope.timestep, scope.speed
+def _frequencies(scope: Scope) -> list[Document]:
+    """Returns the sections on frequency responses and, except in a quick report, on a workshop's plate; none without a loop."""
+    vehicle, how = scope.vehicle, (AMPLITUDE, scope.timestep, scope.speed)
+    sweeps: list[Sweep] = []
     if scope.quick:
-        sweeps, lines = [], identify(at_rest(vehicle), scope.stable, AMPLITUDE, h, speed) if scope.stable else []
+        lines = identify(at_rest(vehicle), scope.stable, *how) if scope.stable else []
     else:
-        sweeps = sweep(vehicle, scope.stable, AMPLITUDE, h, speed, scope.progress) if scope.stable else []
+        sweeps = sweep(vehicle, scope.stable, *how, scope.progress) if scope.stable else []
         lines = [one.lines for one in sweeps]
     own: list[DescribingFunction] = []
     if not scope.quick and scope.laws:
         scope.progress(OWN)
-        own = [describing_function(vehicle, one, AMPLITUDE, h, speed) for one in scope.laws]
-    return Frequencies(
-        frequency_section(scope, lines, sweeps, speed, own) if lines or own else None,
-        workshop_section(scope, sweeps) if sweeps else None,
-    )
+        own = [describing_function(vehicle, one, *how) for one in scope.laws]
+    if not lines and not own:
+        return []
+    found = describe(vehicle, lines, sweeps, own, *how[:2])
+    section = replace(found, blocks=(sweep_figure(vehicle, lines, *how[1:], scope.styles, own), *found.blocks))
+    return [section, *([workshop(vehicle, sweeps)] if sweeps else [])]
 
 
 def _margins(scope: Scope) -> Document:

@@ -12,13 +12,7 @@ from models.document.field import Field
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import at_rest_words
-from sim.report.headline import responses
-from sim.report.scope import AMPLITUDE, Scope
-from sim.studies.frequency.describing_function import MOVING, DescribingFunction, Moving
-from sim.studies.frequency.figure import sweep_figure
-from sim.studies.frequency.identification import Lines
-from sim.studies.frequency.sweep import Sweep
+from sim.report.scope import Scope
 from synth.analysis.specification import Specification, digits
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
@@ -122,89 +116,6 @@ def per_unit(unit: str, other: str) -> str:
     """The unit of a quotient: N/m, N·s/m."""
     over, _, under = other.partition("/")
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
-
-
-def frequency_section(
-    scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep], speed: float, own: Sequence[DescribingFunction]
-) -> Document:
-    """The paper's Fig. 3, points of MuJoCo on its lines; and the norm as a fact, where there are sweeps.
-
-    Args:
-        scope: subject of the report.
-        sweeps: sweeps of the controllers; none in a quick report.
-        speed: vehicle speed [m/s].
-    """
-    drawn = sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own)
-    figure = replace(drawn, name="frequency-responses")
-    columns: tuple[Field[Lines], ...] = (
-        Field("controller", lambda one: one.controller.name),
-        Field("error to sampled", lambda one: one.error(one.sampled).max(), "{:.1e}".format),
-        Field("to continuous", lambda one: one.error(one.continuous).max(), "{:.1e}".format),
-        Field("order of the two", lambda one: one.order, ".2f"),
-    )
-    caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
-    tables = [Table.of("frequency-responses", caption, columns, lines)]
-    blur = scope.vehicle.implementation.noise_text
-    unmeasured = (
-        f"{scope.noise_qualifier}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
-    )
-    text = [
-        f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
-        f"{unmeasured}. 'Sampled' is the "
-        f"exact response of the loop as it runs there, {scope.as_it_runs}; 'continuous' is that of the continuous loop"
-        f"{scope.lag}. The errors are the largest over all lines and signals."
-    ]
-    if words := at_rest_words(scope.vehicle):
-        text.append(f"{words}: only of that loop is there a frequency response.")
-    if sweeps:
-        if scope.each_step:
-            text.append(
-                "The held-road norm, of the sampled loop over a road that is held over every step as MuJoCo holds it, is a "
-                "physical fact: the worst sinusoid reaches it from below, and no other held road has a larger L2 gain. A road "
-                "that moves within a step may have one: only such a road can reach the norm of the designs."
-            )
-        else:
-            text.append(
-                "The force is held over several timesteps, which adds other frequencies to a sinusoid. The held-road norm leaves "
-                "them out, and bounds no road's gain."
-            )
-        if len(scope.vehicle.kind.wheels) > 1:
-            text.append("Here all wheels meet one road; the norm of the designs is that of any roads under any wheels.")
-        gains: tuple[Field[Sweep], ...] = (
-            Field("controller", lambda one: one.lines.controller.name),
-            Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
-            Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
-            Field("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
-            Field("bump", lambda one: one.gains.get("bump"), "{:.4g}".format),
-            Field("chirp", lambda one: one.gains.get("chirp"), "{:.4g}".format),
-            Field("random", lambda one: one.gains.get("random"), "{:.4g}".format),
-        )
-        caption = "How much a road is amplified in MuJoCo: the worst sinusoid, beside the held-road norm, and other roads."
-        tables.append(Table.of("gains", caption, gains, sweeps))
-    if own:
-        text.append(
-            "A law that is not linear has no line of analysis. It is driven over one sinusoid at a time: the fundamental of "
-            "every signal is its describing function, and beside it stands how much of the signal's energy is not in that. On "
-            "other roads, "
-            "or higher ones, it may be otherwise."
-        )
-        caption = (
-            "Laws that are not linear over sinusoids: the fundamental per road velocity where it is largest, and the energy "
-            "outside it."
-        )
-        fundamental, at, outside, outside_at = MOVING
-        moving: tuple[Field[tuple[str, Moving]], ...] = (
-            Field("controller", lambda of: of[0]),
-            Field("signal", lambda of: of[1].name.replace("_", " ")),
-            Field("unit", lambda of: f"{of[1].unit} per m/s"),
-            fundamental.of(lambda of: of[1], "fundamental"),
-            at.of(lambda of: of[1], "at [Hz]"),
-            outside.of(lambda of: of[1]),
-            outside_at.of(lambda of: of[1], "at, in Hz"),
-        )
-        signals = [(one.controller.name, signal) for one in own for signal in one.moving]
-        tables.append(Table.of("describing-functions", caption, moving, signals, words=3))
-    return Document("Frequency response", (*responses(scope, lines, sweeps), *notes(*text), figure, *tables))
 
 
 def paper_section(scope: Scope) -> Document:

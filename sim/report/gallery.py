@@ -1,20 +1,20 @@
-"""The page of the gallery: numbers that others printed beside ours, source by source, with the responses that they are of."""
+"""The page of the gallery: published numbers next to ours, source by source, with figures of the responses."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.document.document import Document, Statement, Table, notes
-from models.document.field import Field
+from models.document.document import Document, notes
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
 from models.document.page import Page
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
-from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of, run_key
-from sim.studies.gallery.summary import BRACKETS, Result, columns, counts, last_lines, reasons
+from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of
+from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values, transfer_matrix
 
 POINTS, MARKS = 800, 25  # points of a drawn line, and of MuJoCo's markers, about
@@ -29,91 +29,71 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
         results: every entry with its compared numbers.
         about: time and origin of the page, by name.
     """
-    wrong = [f"{entry.name}: {one.printed.text} is NOT REPRODUCED" for entry, numbers in results for one in numbers if one.wrong]
-    headings = ("source", "what it is", "reproduced", "differ for a reason", "not reproduced", "not expressible")
-    rows = tuple((entry.title, entry.about or "-", *map(str, counts(entry, numbers))) for entry, numbers in results)
-    table = Table("gallery", "Every source, and how many of its numbers come out here.", headings, rows, words=2)
-    reproduced, *others = last_lines(results)
+    found = summary(results)
+    sections = tuple(_section(*each) for each in results)
+    wrong = [one for section in sections for one in section.statements if one.state == "fails"]
+    headline, *lead = (one.text for one in found.statements)
     return Page(
         "Published results of suspensions, reproduced or refuted",
-        (*(Statement(f"{one}.", "fails") for one in wrong), *notes(*(f"{name}: {text}" for name, text in about.items()))),
-        Document("", (table,)),
-        tuple(_section(*each) for each in results),
-        headline=f"{reproduced}.",
-        lead=tuple(f"{line[0].upper()}{line[1:]}." for line in others),
+        (*wrong, *notes(*(f"{name}: {text}" for name, text in about.items()))),
+        Document("", found.tables),
+        sections,
+        headline=headline,
+        lead=tuple(lead),
         verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
     )
 
 
 def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the section of an entry."""
-    text = [f"{entry.about} Source: {entry.source}. Licence: {entry.licence}.".strip()]
-    text += [f"{reason[0].upper()}{reason[1:]}." for reason in reasons(numbers)]
-    text += [f"{BRACKETS[0].upper()}{BRACKETS[1:]}."] if any(one.printed.derived for one in numbers) else []
-    text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
-    if not numbers:
-        return Document(entry.title, notes(*text))
-    where: Field[ComparedNumber] = Field("where", lambda one: one.printed.where)
-    first, *others = columns(numbers)
-    caption = f"What {entry.title} prints, and what comes out here."
-    table = Table.of(f"gallery-{entry.name}", caption, [first, where, *others], numbers, words=2)
-    panels = [panel for one in _first_of_each(numbers) if (panel := _panel(entry, numbers, one.printed)) is not None]
+    """Returns the section of an entry: its document with a figure of the responses that numbers are of."""
+    found, first = describe(entry, numbers), dict[tuple, PrintedNumber]()
+    for one in (number.printed for number in numbers):
+        first.setdefault((one.what in OF_A_RUN, one.vehicle, one.controller, one.signal, str(one.road), one.hertz), one)
+    panels = [panel for one in first.values() if (panel := _panel(entry, numbers, one)) is not None]
     if not panels:
-        return Document(entry.title, (*notes(*text), table))
-    title = "Lines: linear analysis. Markers: MuJoCo. Dashed: the printed number."
+        return found
+    title = "Lines: linear analysis. Markers: MuJoCo. Dashed: the published number."
     figure = Figure(f"gallery-{entry.name}", title, tuple(panels), columns=min(len(panels), 3))
-    return Document(entry.title, (*notes(*text), figure, table))
-
-
-def _first_of_each(numbers: Sequence[ComparedNumber]) -> list[ComparedNumber]:
-    """Returns one number of each response."""
-    found: dict[tuple, ComparedNumber] = {}
-    for one in numbers:
-        of = one.printed
-        found.setdefault((of.what in OF_A_RUN, of.vehicle, of.controller, of.signal, str(of.road), of.hertz), one)
-    return [*found.values()]
+    return replace(found, blocks=(figure, *found.blocks))
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
     """Returns the response that a number is of; None if it is of none."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
-        same = [each.printed for each in numbers if run_key(designer, each.printed) == run_key(designer, one)]
-        same = [each for each in same if each.signal == one.signal]
-        return _over_time(driven(designer, one), [each for each in same if each.what == "peak"], one)
+        run, peaks = driven(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]
+        same = [peak for peak in peaks if peak.signal == one.signal and driven(designer_of(entry, peak), peak) is run]
+        return _over_time(run, same, one)
     if one.what == "ratio":
         hertz = np.geomspace(one.hertz / BAND, one.hertz * BAND, ABOUT)
         response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), 2 * np.pi * hertz)
         gain = np.abs(response[:, designer.vehicle.linear_model.outputs.index(one.signal), 0])
-        printed = _marker(np.array([one.hertz]), np.array([one.value / one.scale]))
+        at = np.array([one.hertz]), np.array([one.value / one.scale])
+        printed = Curve(*at, "printed", BLACK, "none", "D", name="printed")
         name = f"{one.signal.replace('_', ' ')} over the road's velocity"
         return Panel(name, "frequency [Hz]", "ratio [-]", (_line(hertz, gain), printed), xlog=True, ylog=True)
     if one.what == "norm":
-        loop = linear_of(designer, one).loop(designer.vehicle)
-        hertz = np.geomspace(LOW, HIGH, ABOUT)
+        loop, hertz = linear_of(designer, one).loop(designer.vehicle), np.geomspace(LOW, HIGH, ABOUT)
         gain = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, 2 * np.pi * hertz))
-        name = f"{one.text}: largest singular value"
-        return Panel(name, "frequency [Hz]", "gain [-]", (_line(hertz, gain), _level(hertz, one.value)), xlog=True, ylog=True)
+        curves = _line(hertz, gain), _level(hertz, one.value)
+        return Panel(f"{one.text}: largest singular value", "frequency [Hz]", "gain [-]", curves, xlog=True, ylog=True)
     return None
 
 
 def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> Panel:
     """Returns a signal over time, with the printed peaks on the side where the response has its own."""
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
-    every = max(len(time) // POINTS, 1)
-    some = thinned(exact, every)
-    marks = slice(None, None, max(len(time) // MARKS, 1))
+    some, marks = thinned(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))
     unit = one.unit or (run.vehicle.kind.signal(one.signal).unit if one.scale == 1 else "-")
     side = math.copysign(1.0, float(exact[np.abs(exact).argmax()]))
-    curves = [_line(time[some], exact[some])]
     physics = one.scale * run.physics[one.signal]
+    curves = [_line(time[some], exact[some])]
     curves.append(Curve(time[marks], physics[marks], "MuJoCo", VERMILLION, "none", "o", name="MuJoCo"))
     curves += [_level(time, side * peak.value) for peak in peaks]
     for peak in peaks:
         if peak.grid and time[-1] <= POINTS * peak.grid:
-            seen = np.arange(0, time[-1], peak.grid)
-            values = np.interp(seen, time, exact)
-            curves.append(Curve(seen, values, "the source's grid", BLACK, "none", "x", name="the source's grid"))
+            seen, name = np.arange(0, time[-1], peak.grid), "the source's grid"
+            curves.append(Curve(seen, np.interp(seen, time, exact), name, BLACK, "none", "x", name=name))
     label = f"{one.signal.replace('_', ' ')} [{unit.replace('s2', 's²')}]"
     return Panel(one.signal.replace("_", " "), "time [s]", label, tuple(curves))
 
@@ -124,7 +104,3 @@ def _line(x: Array, y: Array) -> Curve:
 
 def _level(x: Array, value: float) -> Curve:
     return Curve(x[[0, -1]], np.array([value, value]), "printed", BLACK, "dash", name="printed", width=1.0)
-
-
-def _marker(x: Array, y: Array) -> Curve:
-    return Curve(x, y, "printed", BLACK, "none", "D", name="printed")

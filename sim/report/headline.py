@@ -11,8 +11,6 @@ from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
 from sim.runs.report import NO_STATE
 from sim.runs.run import Run
-from sim.studies.frequency.identification import Lines
-from sim.studies.frequency.sweep import Sweep, failures
 from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller
 
@@ -154,30 +152,6 @@ def what_ended(run: Run) -> str:
     if one.lost:
         return NO_STATE
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
-
-
-def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Statement]:
-    """Returns statements on the differences of frequency responses, and on failed claims on gains."""
-    if not lines:
-        return []
-    off = max(float(one.error(one.sampled).max()) for one in lines)
-    statements = [
-        Statement(
-            f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}"
-            f"{scope.loop_qualifier}.",
-            "holds",
-        )
-    ]
-    for one in sweeps:
-        if not one.ended:
-            statements += [
-                Statement(f"A claim fails. {as_name(one.lines.controller.name)}: {text}.", "fails") for text in failures(one)
-            ]
-        else:
-            text = f"The sweep of {as_name(one.lines.controller.name)} left the linear regime: {joined(list(one.ended))}."
-            statements.append(Statement(text, "ends"))
-    return statements
 
 
 def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[str]:

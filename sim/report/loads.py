@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.printed import as_name, cell
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import Field, cells, titles
+from models.document.field import cells, titles
 from models.document.figure import Curve, Figure, Panel, thinned
 from models.document.reading import Pivot
 from models.kinds.links import left_out
@@ -16,13 +16,10 @@ from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import at_rest_words
 from sim.report.scope import Scope, names_text
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
-from sim.studies.frequency.eusama import AT, DISPUTED, MEASURED, RATIO, MinimumLoad
-from sim.studies.frequency.sweep import Sweep
 from sim.studies.ride.metrics import DEGREES, angles_of
 from sim.studies.ride.run_metrics import METRIC, measure_run
 
@@ -142,25 +139,3 @@ def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run]) -> list[Pane
         words = name.replace("_", " ")
         panels.append(Panel(words, "time [s]", f"{words} [{unit}]", tuple(curves)))
     return panels
-
-
-def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Document:
-    """EUSAMA's least loads of every wheel, predicted and in MuJoCo, and what is said against them."""
-    columns: tuple[Field[tuple[str, MinimumLoad]], ...] = (
-        Field("controller", lambda pair: pair[0]),
-        Field("wheel's", lambda pair: pair[1].tyre.replace("_", " ")),
-        RATIO.of(lambda pair: pair[1], "least load, predicted [%]"),
-        MEASURED.of(lambda pair: pair[1], "MuJoCo [%]"),
-        AT.of(lambda pair: pair[1], "at [Hz]"),
-        Field("linear regime ended by", lambda pair: pair[1].end or "-"),
-    )
-    loads = [(one.lines.controller.name, load) for one in sweeps for load in one.loads]
-    caption = "EUSAMA's least load of every wheel, in percent of its static load: disputed."
-    words = at_rest_words(scope.vehicle)
-    text = (
-        "Under each wheel in turn a plate moves by 6 mm, up to 25 Hz; the least load, in percent of the static one, is what "
-        f"workshops grade dampers by (EUSAMA TS-02-76). It is {DISPUTED}.",
-        *((f"{words}.",) if words else ()),
-    )
-    table = Table.of("eusama", caption, columns, loads)
-    return Document("Workshop test (EUSAMA)", (*notes(*text), table))

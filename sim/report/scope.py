@@ -162,11 +162,6 @@ class Scope:
         return self.vehicle.implementation.undelayed
 
     @property
-    def each_step(self) -> bool:
-        """Returns True if the controller samples at every timestep, so that its loop is time-invariant."""
-        return steps_per_sample(self.vehicle.implementation, self.timestep) == 1
-
-    @property
     def as_it_runs(self) -> str:
         """Describes the sampled linear loop, without ends of the regime and measurement noise."""
         how = self.vehicle.implementation.without_noise

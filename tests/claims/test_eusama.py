@@ -1,21 +1,18 @@
 """EUSAMA's minimum load: in closed form, on the plate that MuJoCo moves, and as workshops measure it; disputed, and said so."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
 import pytest
 
-import sim.studies.frequency.sweep
 from models.roads.rig import Rig
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.eusama import load_failures, load_object, minimum_loads
+from sim.studies.frequency.eusama import DISPUTED, load_failures, load_object, minimum_loads
+from sim.studies.frequency.report import workshop
 from sim.studies.frequency.sweep import sweep
-from sim.sweep import main
 from synth.vehicle.designer import design
-from tests.support.commands import once, prose
 
 H = 1e-3  # s
 PARAMETERS = {
@@ -141,21 +138,12 @@ def test_curve():
     assert load_object([curved])["tyres"]["tyre_deflection"]["allowed"] is None
 
 
-@pytest.mark.attack
-def test_printed(capsys, monkeypatch, tmp_path):
-    """The table has what JSON has, per wheel, and both say that it is disputed; the paper's car lifts off its plate."""
-    path = tmp_path / "car.toml"
-    path.write_text(car().text)
-    for vehicle, ended in ((str(path), []), ("quarter_car", ["lift-off"])):
-        monkeypatch.setattr(sim.studies.frequency.sweep, "sweep", once(sweep))
-        assert main(["--vehicle", vehicle, "--controller", "passive", "--timestep", "4e-3"]) == 0
-        out = capsys.readouterr().out
-        assert main(["--vehicle", vehicle, "--controller", "passive", "--timestep", "4e-3", "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)["sweeps"][0]["minimum_load"]
-        assert found["disputed"] in prose(out)
-        ((tyre, one),) = found["tyres"].items()
-        row = next(line.split() for line in out.partition("EUSAMA's least load")[2].splitlines() if line.split()[:1] == [tyre])
-        numbers = [f"{100 * one['ratio']:.2f}", f"{100 * one['mujoco']:.2f}", f"{one['omega'] / (2 * math.pi):.2f}"]
-        assert row == [tyre, *numbers, *ended]
-        assert one["ended"] == ended
-        assert (one["ratio"] == 0) == bool(ended)
+def test_the_document_names_the_end_and_the_dispute():
+    """The paper's car lifts off its plate and another car does not, as the table shows; the text says that this is disputed."""
+    for vehicle, ended in ((car(), "-"), (read_vehicle("quarter_car"), "lift-off")):
+        (found,) = sweep(vehicle, [design(vehicle, "passive")], 1e-4, 4e-3, 12.5)
+        document = workshop(vehicle, [found])
+        ((controller, tyre, _, _, _, end),) = document.tables[0].rows
+        assert (controller, tyre, end) == ("passive", "tyre deflection", ended)
+        assert (found.loads[0].ratio == 0) == (ended != "-")
+        assert DISPUTED in document.statements[0].text

@@ -1,8 +1,6 @@
 """Loads, the workshop's plate and the roughness of roads in a report: as the commands have them that are about them."""
 
 import json
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -12,10 +10,7 @@ from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import read_vehicle
 from sim.drive import main as drive
 from sim.report.__main__ import main
-from sim.report.loads import workshop_section
 from sim.report.ride import _roughness_row
-from sim.studies.frequency.eusama import DISPUTED, minimum_loads
-from synth.vehicle.designer import design
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
@@ -48,18 +43,6 @@ def test_a_load_that_cannot_be_is_refused_before_the_work(tmp_path):
         with pytest.raises(InputError, match=words):
             main([*CAR, "--quick", "--out", str(tmp_path / "no.html"), "--load", load])
     assert not list(tmp_path.iterdir())
-
-
-def test_the_workshop_s_plate_is_marked_as_disputed():
-    """The table has EUSAMA's ratios as sim.sweep has them, and says beside them that they are disputed, and by whom."""
-    vehicle = read_vehicle("quarter_car")
-    controller = design(vehicle, "passive")
-    (loads,) = minimum_loads(vehicle, [controller], 2e-3)
-    one: Any = SimpleNamespace(lines=SimpleNamespace(controller=controller), loads=loads)
-    scope: Any = SimpleNamespace(vehicle=vehicle)
-    section = workshop_section(scope, [one])
-    assert DISPUTED in section.statements[0].text
-    assert section.tables[0].rows[0][2:4] == (f"{100 * loads[0].ratio:.2f}", f"{100 * loads[0].measured:.2f}")
 
 
 def test_roads_of_the_ride_say_how_rough_they_are():

@@ -24,12 +24,11 @@ from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_
 from sim.report.scope import Scope
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.standing import digits
-from sim.sweep import main as sweep
 from tests.commands.test_report import QUICK
 from tests.support import shared
 from tests.support.commands import attacks
 from tests.support.pages import site
-from tests.support.reading import PageRead, number, read_report
+from tests.support.reading import PageRead, read_report
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
@@ -155,25 +154,6 @@ def test_requirements_stand_first(plain, real):
         assert kept or until < 3
     assert any(row["result"].startswith("✗") for row in real.tables["requirements"])
     assert "requirements" not in plain.tables
-
-
-@pytest.mark.parametrize("which", attacks(["plain", "real"]))
-def test_frequency_responses(which, request, real_file, capsys):
-    """The errors of the lines, and the headline's bound on them, are what `sim.sweep` says."""
-    read = request.getfixturevalue(which)
-    vehicle = ["--vehicle", real_file, "--controller", "II"] if which == "real" else []
-    asked = vehicle or ["--controller", "passive", "--controller", "I"]
-    result = printed(capsys, sweep, *asked, *STEP)
-    errors = []
-    for one in result["sweeps"]:
-        largest = {key: max(signal["error"][key] for signal in one["signals"].values()) for key in ("sampled", "continuous")}
-        cells = {"error to sampled": f"{largest['sampled']:.1e}", "to continuous": f"{largest['continuous']:.1e}"}
-        cells |= {"order of the two": f"{one['order']:.2f}" if one["order"] is not None else "-"}
-        held(read.row("frequency-responses", controller=one["controller"]), cells)
-        errors.append(largest["sampled"])
-    (bound,) = re.findall(r"Every frequency response in MuJoCo is within (\S+) of the exact", " ".join(read.answer))
-    shown = max(float(row["error to sampled"]) for row in read.tables["frequency-responses"])
-    assert max(errors) <= number(bound) <= 1.1 * max(shown, *errors)
 
 
 @pytest.mark.parametrize("which", ["plain", *attacks(["real"])])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.document.text import text_lines
 from models.laws.python_law import Programmed
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation
@@ -15,16 +16,12 @@ from sim.command.comparison import controllers_of
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from sim.linear.frequency_response import sampled_frequency_response
-from sim.studies.frequency.describing_function import (
-    describing_function,
-    describing_lines,
-    describing_verdict,
-)
+from sim.studies.frequency.describing_function import describing_function
+from sim.studies.frequency.report import describe
 from sim.studies.frequency.sweep import holds
 from sim.sweep import main
 from synth.vehicle.designer import Designer
 from tests.models.test_python_laws import vehicle_of
-from tests.support.commands import prose
 
 FEW = 10  # of the 20 sinusoids that the command drives
 LOW, LOWEST = 0.2, 0.1  # Hz: a run is three periods; at the lower, of the command, free motion is gone after two
@@ -147,7 +144,7 @@ step.vectorised = True
 @pytest.mark.parametrize("limit", [8e-6, pytest.param(-1.0, marks=pytest.mark.attack)])
 def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     """If runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
-    found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {COARSE}", step=COARSE)
+    found, vehicle = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {COARSE}", step=COARSE)
     wild, count = np.isfinite(found.diverged), len(found.omega)
     # A road of 0.1 mm rises by 0.05 mm * omega * 8 ms in a step, at most: more than 8e-6 m from 20 rad/s on.
     assert np.array_equal(wild, found.omega > 20.0) or limit < 0
@@ -156,11 +153,13 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     for numbers in (found.gains, found.measured, found.outside):
         assert np.isnan(numbers[wild]).all()
     assert np.isfinite(found.gains[~wild]).all()
-    text, verdict = prose(" ".join(describing_lines(found))), describing_verdict(found)
-    which = f"every one of its {count}" if wild.all() else f"{wild.sum()} of its {count}"
-    assert f"{which} runs diverged, the first at {found.diverged.min():.4g} s: nothing is measured in such" in text
-    assert "nan" not in text
-    assert verdict == "NOTHING MEASURED: every run diverged" if wild.all() else "divergence" in verdict
+    document = describe(vehicle, [], [], [found], AMPLITUDE, COARSE)
+    said = [one.text for one in document.statements if "diverged" in one.text]
+    first = f"{found.diverged.min():.4g} s"
+    some = f"`mine`: {wild.sum()} of {count} runs diverged, the first at {first}. They are not measured."
+    assert said == ["`mine`: every run diverged, and nothing is measured."] if wild.all() else [some]
+    assert document.state == ("fails" if wild.all() else "note")
+    assert "nan" not in " ".join(text_lines(document, "full"))
     assert holds(found) is not wild.all()  # the command's exit code is then 1
     assert not holds(replace(found, diverged=np.zeros(count), ended=("divergence",))), "nothing is measured then"
     assert not recwarn.list

@@ -68,7 +68,7 @@ ROOMS = {
     "sim.drive": "sim.command",
     "sim.envelope": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
-    "sim.gallery": "sim.studies",
+    "sim.gallery": "models.document sim.studies",
     "sim.inspect": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
     "sim.margins": "models.document models.vehicle synth.controller synth.vehicle sim.command sim.linear sim.runs sim.studies",
@@ -76,8 +76,8 @@ ROOMS = {
     "sim.report": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
-    "sim.sweep": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.linear "
-    "sim.runs sim.studies",
+    "sim.sweep": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.command sim.runs "
+    "sim.studies",
     "sim.__main__": "",
 }
 OF_ALL = "models.common"

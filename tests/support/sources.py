@@ -88,7 +88,7 @@ def _text(node: ast.AST) -> str:
 
 
 def _formats(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id.endswith(("Column", "Field", "Error")):
+    if isinstance(node, ast.Call) and re.match(r"\w*(Column|Field|Error)\b", ast.unparse(node.func)):
         return
     spec = node.value if isinstance(node, ast.Constant) else None
     if isinstance(node, ast.FormattedValue) and node.format_spec:

@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import cell, finite, finite_pairs, percent
-from models.document.field import Field
-from models.document.text import field_table
-from models.laws.python_law import Programmed
+from models.common.printed import finite, finite_pairs
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.limits_and_implementation import steps_per_sample
@@ -30,26 +27,6 @@ from synth.controller.controller import AnyController, has_anti_windup
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
 STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
-
-
-@dataclass(frozen=True)
-class Moving:
-    """An output that moves: its largest fundamental per road velocity, the largest share of energy outside it, and where [Hz]."""
-
-    name: str
-    unit: str
-    largest: float
-    largest_at: float
-    outside: float
-    outside_at: float
-
-
-MOVING: tuple[Field[Moving], ...] = (
-    Field("largest", lambda signal: signal.largest, "{:.4g}".format),
-    Field("at Hz", lambda signal: signal.largest_at, "{:.3g}".format),
-    Field("energy outside", lambda signal: signal.outside, percent),
-    Field("at Hz", lambda signal: signal.outside_at, "{:.3g}".format),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,26 +62,14 @@ class DescribingFunction:
     ended: tuple[str, ...]
 
     @property
-    def worst(self) -> int:
-        """Returns the index of the frequency with the largest gain."""
-        return int(np.argmax(np.nan_to_num(self.gains)))
-
-    @property
-    def moving(self) -> list[Moving]:
-        """Returns the outputs that move, in short."""
-        outputs, hertz = [], self.omega / (2 * np.pi)
-        for i, name in enumerate(self.outputs):
-            size, outside = np.abs(self.measured[:, i]), self.outside[:, i]
-            if not np.all(np.isnan(outside)):
-                most, least = int(np.nanargmax(size)), int(np.nanargmax(outside))
-                places = float(size[most]), float(hertz[most]), float(outside[least]), float(hertz[least])
-                outputs.append(Moving(name, self.units[i], *places))
-        return outputs
+    def moving(self) -> list[int]:
+        """Returns the indices of the outputs that move."""
+        return [i for i in range(len(self.outputs)) if not np.all(np.isnan(self.outside[:, i]))]
 
     @property
     def worst_omega(self) -> float:
         """Returns the frequency with the largest gain [rad/s]."""
-        return float(self.omega[self.worst])
+        return float(self.omega[np.argmax(np.nan_to_num(self.gains))])
 
 
 def describing_function(
@@ -162,55 +127,11 @@ def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: fl
     return lines / (turning @ response[vehicle.kind.wheels[0].road_velocity]), np.maximum(1 - inside, 0.0)
 
 
-def describing_lines(one: DescribingFunction) -> list[str]:
-    """Returns the describing function in words and numbers."""
-    hertz, law = one.omega / (2 * np.pi), one.controller.text
-    if isinstance(one.controller, Programmed):
-        law = f"{one.controller.law.kind} {one.controller.law.law}"
-    lines = [
-        f"controller {one.controller.name}",
-        f"  {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "
-        "sinusoids, one at a time; a road of another height may have another one",
-    ]
-    if one.without:
-        lines.append(f"  its loop as built, but without its {one.without}")
-    wild = np.isfinite(one.diverged)
-    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "broke off as the states of the law ran away")):
-        if which.any():
-            some = f"{np.sum(which)} of its {len(hertz)} runs" if not which.all() else f"every one of its {len(hertz)} runs"
-            lines.append(f"  {some} {how}, the first at {np.min(one.diverged[which]):.4g} s: nothing is measured in such")
-    if wild.all():
-        return lines
-    name = Field[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
-    lines += field_table((name, *MOVING), one.moving)
-    gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
-    lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
-    if one.drift > STEADY:
-        lines.append(
-            f"  not all has settled: from one period of {hertz[0]:.3g} Hz to the next a fundamental still changed by "
-            f"{percent(one.drift)}"
-        )
-    return lines
-
-
 def describing_failures(one: DescribingFunction) -> list[str]:
     """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
     if not np.all(np.isfinite(one.diverged)):
         return []
     return [f"every run {'broke off' if one.ran_away.any() else 'diverged'}, and nothing is measured"]
-
-
-def describing_verdict(one: DescribingFunction) -> str:
-    """Returns the verdict in a sentence."""
-    if describing_failures(one):
-        return f"NOTHING MEASURED: every run {'broke off' if one.ran_away.any() else 'diverged'}"
-    if one.ended:
-        return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
-    share = percent(float(np.nanmax(one.outside)))
-    return (
-        f"no linear claim: in the worst signal {share} of the energy is at other frequencies, which a describing function leaves "
-        "out"
-    )
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.document.field import Field, json_object
-from models.document.text import field_table
+from models.common.printed import finite
+from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -70,17 +70,7 @@ class MinimumLoad:
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
-RATIO = Field[MinimumLoad]("predicted", lambda one: one.ratio, ".2f", 100, "ratio")
-MEASURED = Field[MinimumLoad]("MuJoCo", lambda one: one.measured, ".2f", 100, "mujoco")
-AT = Field[MinimumLoad]("at Hz", lambda one: one.omega, ".2f", 1 / (2 * math.pi), "omega")
-IN_JSON = (
-    RATIO,
-    AT,
-    Field[MinimumLoad]("", lambda one: one.driven, key="driven"),
-    MEASURED,
-    Field[MinimumLoad]("", lambda one: one.allowed, key="allowed"),
-    Field[MinimumLoad]("", lambda one: list(one.ended), key="ended"),
-)
+LEFT = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
@@ -171,22 +161,16 @@ def _load(
 def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
     """Returns the minimum loads that differ from the prediction, in words."""
     return [
-        f"on EUSAMA's plate {one.tyre} leaves {one.measured:.5f} of the load; {one.driven:.5f} is predicted"
+        f"on EUSAMA's plate, {one.tyre} leaves {LEFT.text(one.measured)} of the load; {LEFT.text(one.driven)} is predicted"
         for one in loads
         if not one.ended and not abs(one.measured - one.driven) <= one.allowed
     ]
 
 
-def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
-    """Returns the minimum loads as a table, with a note on the criticism of this test."""
-    name = Field[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
-    ended = Field[MinimumLoad]("", lambda one: one.end)
-    return [*field_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
-
-
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
     """Returns the minimum loads as a JSON object."""
-    return {
-        "disputed": DISPUTED.removeprefix("disputed: "),
-        "tyres": {one.tyre: json_object(IN_JSON, one) for one in loads},
-    }
+    tyres = {}
+    for one in loads:
+        found = {"mujoco": finite(one.measured), "allowed": finite(one.allowed), "ended": list(one.ended)}
+        tyres[one.tyre] = {"ratio": one.ratio, "omega": one.omega, "driven": one.driven, **found}
+    return {"disputed": DISPUTED.removeprefix("disputed: "), "tyres": tyres}

@@ -1,6 +1,6 @@
 """Frequency responses drawn as in the paper's Fig. 3: lines are analysis, points are MuJoCo.
 
-The lines are of the paper's continuous loop, or, where the controller is slower or later than the timestep, of the loop as built.
+The lines show the continuous loop or, if `[implementation]` has a sample period or a delay, the sampled loop.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
+from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, Style
 from models.roads.spectrum import as_met
 from models.vehicle.names import PASSIVE
@@ -22,13 +23,17 @@ from synth.controller.controller import Controller
 POINTS = 600  # of a line, as far apart as a hundredth of their frequency
 CLOSELY = 41  # more where it is largest or least
 EVERY = 2  # of the identified lines, which one is drawn
+STEP = Field[float]("timestep", lambda one: one, "g", 1e3, unit="ms")
+HERTZ = Field[float]("frequency", lambda one: one, ".3g", unit="Hz")
+PEAK = Field[float]("peak", lambda one: one, ".3g")
+SHARE = Field[float]("share", lambda one: one, ".0f", 100, unit="%")
+BAND = (LOWEST, HIGHEST)
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
 def sweep_figure(
     vehicle: Vehicle,
     sweeps: Sequence[Lines],
-    amplitude: float,
     timestep: float,
     speed: float,
     style: Mapping[str, Style],
@@ -38,8 +43,7 @@ def sweep_figure(
 
     Args:
         vehicle: the vehicle, whose weighted signals are drawn.
-        amplitude: largest height of the roads [m], for the caption.
-        timestep: timestep of the physics [s], for the caption.
+        timestep: timestep of the physics [s].
         speed: forward velocity [m/s].
         style: colour and line style of every controller.
         own: describing functions of laws in Python, which have points and no line.
@@ -67,41 +71,25 @@ def sweep_figure(
         for signal in signals:
             i = one.outputs.index(signal)
             if np.any(moves := ~np.isnan(one.outside[:, i])):
-                hertz, points = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i])
+                at = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i]), name
                 seen = f"{name}, fundamental in MuJoCo"
-                curves[signal].append(Curve(hertz, points, name, look.color, "none", look.marker, name=seen, filled=True))
+                curves[signal].append(Curve(*at, look.color, "none", look.marker, name=seen, filled=True))
     signals = [name for name in signals if curves[name]]
-
     panels = []
     for name in signals:
         signal = vehicle.kind.signal(name)
         unit = signal.unit.replace("s2", "s²")
-        panels.append(
-            Panel(
-                title=f"{name.replace('_', ' ')}, {signal.symbol}",
-                xlabel="frequency [Hz]",
-                ylabel=f"per road velocity [{unit} per m/s]",
-                curves=tuple(curves[name]),
-                xlog=True,
-                ylog=True,
-                xticks=TICKS,
-                xlim=(LOWEST, HIGHEST),
-            )
-        )
+        title, label = f"{name.replace('_', ' ')}, {signal.symbol}", f"per road velocity [{unit} per m/s]"
+        panels.append(Panel(title, "frequency [Hz]", label, tuple(curves[name]), xlog=True, ylog=True, xticks=TICKS, xlim=BAND))
     ended = sorted({name for one in (*sweeps, *own) for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
-    loop = "continuous" if how.undelayed else f"as built, {', '.join(how.without_noise.phrases)}"
-    without = f" without its {how.noise_text}" if how.has_measurement_noise else ""
-    crosses = "; full ones: the fundamental that a law that is not linear makes of one sinusoid at a time" if own else ""
-    title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Markers: MuJoCo "
-        f"at {1e3 * timestep:g} ms, identified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"
-    )
+    loop = "continuous" if how.undelayed else ", ".join(how.without_noise.phrases)
+    full = "; full ones: fundamentals over single sinusoids" if own else ""
+    title = f"Lines: linear analysis, {loop}. Markers: MuJoCo at {STEP.text(timestep)}{full}{regime}."
     body = next((name for name in signals if name.endswith("acceleration")), signals[0])
     columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
-    return Figure(
-        "sweep", title, tuple(panels), columns, finding=_lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)
-    )
+    finding = _lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)
+    return Figure("frequency-responses", title, tuple(panels), columns, finding=finding)
 
 
 def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
@@ -112,10 +100,9 @@ def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
     least = min(peaks, key=lambda name: peaks[name])
     peak, at = peaks[least]
     share = 1 - peak / peaks[PASSIVE][0] if PASSIVE in peaks else 0.0
-    against = f", {100 * share:.0f} % below {as_name(PASSIVE)}" if share >= 0.005 else ""
-    return (
-        f"{as_name(least)} has the lowest peak of {signal.replace('_', ' ')}: {peak:.3g} {unit} per m/s at {at:.3g} Hz{against}."
-    )
+    against = f", {SHARE.text(share)} below {as_name(PASSIVE)}" if share >= 0.005 else ""
+    size = f"{PEAK.text(peak)} {unit} per m/s at {HERTZ.text(at)}"
+    return f"{as_name(least)} has the lowest peak of {signal.replace('_', ' ')}: {size}{against}."
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:

@@ -1,31 +1,26 @@
-"""Results of a sweep compared with the claims of a controller: text and JSON."""
+"""Results of a sweep, its claims, and its JSON object."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite, finite_pairs, table, wrapped
+from models.common.printed import finite, finite_pairs
+from models.document.field import Field
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.runs.agreement import COARSEST, SLACK
-from sim.studies.frequency.describing_function import (
-    DescribingFunction,
-    describing_failures,
-    describing_lines,
-    describing_object,
-    describing_verdict,
-)
-from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_lines, load_object, minimum_loads
+from sim.studies.frequency.describing_function import DescribingFunction, describing_failures, describing_object
+from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_object, minimum_loads
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_roads
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller, code_of
-from synth.controller.report import judged_lines, norm_if_implemented
+from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Beside RK4's own error, which is known:
@@ -34,6 +29,8 @@ SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # share of the road's height, and least he
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
 REACHED = 1e-3  # below the norm
 DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is found
+OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
+GAIN = Field[float]("L2 gain", lambda one: one, "{:.7g}".format)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,45 +124,59 @@ def _off(lines: Lines) -> tuple[float, float, str, bool]:
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """The claims that do not hold of a sweep, in words; of a law in Python, of which none is made, that nothing is known."""
+    """Returns the failed claims of a sweep, in words; of a nonlinear law, without claims, that nothing was measured."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
-    why = f"; rounding to {_rounds(one)} is not in that: give a larger --amplitude" if _rounds(one) else ""
-    return [text + why for text in _failures(one)]
-
-
-def _rounds(one: Sweep) -> str:
-    """Returns the numbers of exported code that has fixed point; empty without such code."""
     code = code_of(one.controller)
-    return code.law.numbers if code is not None and code.law.fixed is not None else ""
+    rounds = code.law.numbers if code is not None and code.law.fixed is not None else ""
+    why = f"; this omits rounding to {rounds}: give a larger --amplitude" if rounds else ""
+    return [text + why for text in _failures(one, bool(rounds))]
 
 
-def _failures(one: Sweep) -> list[str]:
-    """The claims that do not hold of a linear law, in words."""
-    failed, lines, norm = [], one.lines, one.extremes.worst.gain
+def _failures(one: Sweep, rounds: bool) -> list[str]:
+    """Returns the failed claims of a linear law, in words; `rounds` is True for exported code with fixed point."""
+    failed, gains, norm = [], one.gains, one.extremes.worst.gain
     # What turning makes of a line goes with the road's height.
-    off, allowed, signal, coarse = _off(lines if one.small is None else one.small)
+    off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
-        why = "; the timestep is too coarse, give a smaller one" if coarse and not _rounds(one) else ""
-        failed.append(f"a line of {signal} is {off:.2e} off the sampled response; {allowed:.2e} is allowed{why}")
+        why = "; the timestep is too coarse, give a smaller one" if coarse and not rounds else ""
+        failed.append(f"a line of {signal} is {OFF.text(off)} off the sampled response; {OFF.text(allowed)} is allowed{why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
-            failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")
-    failed += _road_failures(one) + load_failures(one.loads)
+            size, most = OFF.text(invariant.error), OFF.text(invariant.allowed)
+            failed.append(f"{invariant.name} is {size} off its invariant; {most} is allowed")
+    failed += road_failures(one) + load_failures(one.loads)
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
+    low, high, what = norm * (1 - REACHED) - own, norm * (1 + ABOVE) + own, "the held-road norm"
     if not one.extremes.lti:
-        most, (predicted, finer) = np.inf if one.sampled is None else one.sampled.value, one.extremes.predicted
-        worst, allowed = one.gains["worst sinusoid"], most * (1 + ABOVE) + own + SLACK * abs(predicted - finer)
-        if not abs(worst - predicted) <= ABOVE * predicted + own:
-            failed.append(f"the worst sinusoid has an L2 gain of {worst:.7g}; {predicted:.7g} is predicted at this timestep")
-        above = [(name, gain) for name, gain in one.gains.items() if not gain <= allowed]
-        return failed + [f"the {name} has an L2 gain of {gain:.7g}, above the norm {most:.7g}" for name, gain in above]
-    for name, gain in one.gains.items():
-        if not gain <= norm * (1 + ABOVE) + own:
-            failed.append(f"the {name} has an L2 gain of {gain:.7g}, above the held-road norm {norm:.7g}")
-    if not one.gains["worst sinusoid"] >= norm * (1 - REACHED) - own:
-        failed.append(f"the worst sinusoid reaches {one.gains['worst sinusoid']:.7g} of the held-road norm {norm:.7g} only")
+        predicted, finer = one.extremes.predicted
+        near = ABOVE * predicted + own
+        failed += _gain_failure("worst sinusoid", gains, "the prediction", predicted, predicted - near, predicted + near)
+        norm, what = math.inf if one.sampled is None else one.sampled.value, "the norm of the sampled loop"
+        low, high = -math.inf, norm * (1 + ABOVE) + own + SLACK * abs(predicted - finer)
+    for road in gains:
+        failed += _gain_failure(road, gains, what, norm, low if road == "worst sinusoid" else -math.inf, high)
     return failed
+
+
+def road_failures(one: Sweep) -> list[str]:
+    """Returns the failed claims of the worst road of a sampled loop, in words."""
+    if one.road is None or one.sampled is None:
+        return []
+    gains, predicted, norm = {"worst road": one.road.gain}, one.road.predicted, one.sampled.value
+    step = SLACK * abs(predicted - one.road.finer)  # energies between leaps are exact to the square of the timestep
+    near, low = ABOVE * one.road.gain, -math.inf if one.road.twisted else norm * (1 - REACHED) - step
+    return [
+        *_gain_failure("worst road", gains, "the prediction", predicted, predicted - near, predicted + near),
+        *_gain_failure("worst road", gains, "the norm of the sampled loop", norm, low, norm * (1 + DRIVEN) + step),
+    ]
+
+
+def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float, low: float, high: float) -> list[str]:
+    """Returns in words that the gain over a road is not from `low` to `high`, as a reference value asks; empty if it is."""
+    if low <= gains[road] <= high:
+        return []
+    return [f"the {road} has an L2 gain of {GAIN.text(gains[road])}; {what} is {GAIN.text(value)}"]
 
 
 def holds(one: Sweep | DescribingFunction) -> bool:
@@ -173,133 +184,22 @@ def holds(one: Sweep | DescribingFunction) -> bool:
     return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 
-def _road_failures(one: Sweep) -> list[str]:
-    """The claims that do not hold of the worst road of a sampled loop."""
-    if one.road is None or one.sampled is None:
-        return []
-    failure, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
-    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{failure}; {one.road.predicted:.7g} is predicted"]
-    step = SLACK * abs(one.road.predicted - one.road.finer)  # energies between leaps are exact to the square of the timestep
-    if not gain <= norm * (1 + DRIVEN) + step:
-        failed.append(f"{failure}, above the norm {norm:.7g} of the sampled loop")
-    if not one.road.twisted and not gain >= norm * (1 - REACHED) - step:
-        failed.append(f"{failure} only; the norm of the sampled loop is {norm:.7g}")
-    return failed
-
-
-def _road_lines(one: Sweep) -> list[str]:
-    """The worst road of a sampled loop, in words and numbers."""
-    if one.sampled is None:
-        return []
-    if one.road is None:
-        return [
-            f"  norm of the sampled loop: {one.sampled.value:.7g}, decided within one sample, where no periodic road is worst"
-        ]
-    share, norm = one.road.gain / one.sampled.value, one.sampled.value
-    twisted = "; that is of twists of the road beside its velocity, too" if one.road.twisted else ""
-    return [
-        f"  worst road of the sampled loop: gain {one.road.gain:.7g}, norm {norm:.7g} ({100 * share:.4f} %), in steps of "
-        f"{1e3 * one.road.timestep:.4g} ms{twisted}"
-    ]
-
-
-def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
-    """A sweep in words and numbers."""
-    if isinstance(one, DescribingFunction):
-        return describing_lines(one)
-    norm, failed, lines_of_loop = one.extremes.worst, failures(one), one.lines
-    sampled, continuous = lines_of_loop.error(lines_of_loop.sampled), lines_of_loop.error(lines_of_loop.continuous)
-    errors = zip(lines_of_loop.outputs, sampled.tolist(), continuous.tolist(), strict=True)
-    rows = [(name, f"{a:.1e}", f"{b:.1e}") for name, a, b in errors]
-    lines = [f"controller {lines_of_loop.controller.name}"]
-    if one.without:
-        lines.append(f"  its loop as built, but without its {one.without}: no frequency response knows of such")
-    lines += table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows])
-    if math.isfinite(lines_of_loop.order):
-        lines.append(f"  sampled tends to continuous with the timestep to the power {lines_of_loop.order:.2f}")
-    for invariant in one.extremes.invariants:
-        lines.append(
-            f"  |{invariant.name}| = {invariant.measured:.6f} at {invariant.omega:.2f} rad/s, {invariant.expected:.6f} for any "
-            f"suspension ({invariant.error:.1e} off)"
-        )
-    lines.append(
-        f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
-        f"the continuous one, any road under any wheel: {_norm(one):.7g}"
-    )
-    lines += [f"  about the continuous norm: {text}" for text in judged_lines(lines_of_loop.controller)]
-    gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
-    worst = one.gains["worst sinusoid"]
-    share = f"{100 * worst / norm.gain:.4f} % of the held-road norm"
-    lines.append(f"  L2 gains in MuJoCo: worst sinusoid {worst:.7g} ({share}){gains}")
-    if not one.extremes.lti and lines_of_loop.controller.law.acts:
-        lines.append(
-            "  the force is held over several timesteps, which adds other frequencies to a sinusoid; the held-road norm leaves "
-            "them out"
-        )
-    lines += [*_road_lines(one), *load_lines(one.loads)]
-    if failed and not one.ended:
-        lines += [f"  DOES NOT AGREE: {text}" for text in failed]
-    return lines
-
-
-def short_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
-    """Returns a table of the norms, found in physics and in analysis, and how to see the rest."""
-    rows: list[tuple[str, ...]] = [("", "held-road", "", "MuJoCo", "worst line", "continuous")]
-    rows.append(("", "norm", "at rad/s", "reaches", "off sampled", "norm"))
-    for one in sweeps:
-        if isinstance(one, DescribingFunction):
-            rows.append((one.controller.name, *("-",) * 5))
-            continue
-        norm, share = one.extremes.worst, one.gains["worst sinusoid"] / one.extremes.worst.gain
-        off = max(one.lines.error(one.lines.sampled))
-        numbers = (f"{norm.gain:.7g}", f"{norm.omega:.5g}", f"{100 * share:.4f} %", f"{off:.1e}", f"{_norm(one):.7g}")
-        rows.append((one.controller.name, *numbers))
-    told = [(one, failures(one)) for one in sweeps if not (isinstance(one, Sweep) and one.ended)]
-    failed = []
-    for one, texts in told:
-        more = f"; and {len(texts) - 1} more, see -v" if len(texts) > 1 else ""
-        failed += [f"  {one.controller.name} DOES NOT AGREE: {texts[0]}{more}"] if texts else []
-    ahead = [one.controller.name for one in sweeps if isinstance(one, Sweep) and one.controller.preview is not None]
-    alone = [f"  the continuous norm of {', '.join(ahead)} is of the feedback alone"] if ahead else []
-    return [*table(rows), *alone, *failed, "  -v adds every signal, invariants, other roads and EUSAMA's least load"]
-
-
-def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
-    """The verdict on every sweep, a line each."""
-    width = max(len(one.controller.name) for one in sweeps)
-    return [line for one in sweeps for line in wrapped(_verdict(one), f"{one.controller.name:{width}}  ", 4)]
-
-
-def _verdict(one: Sweep | DescribingFunction) -> str:
-    """Returns the verdict of a sweep in a sentence."""
-    if isinstance(one, DescribingFunction):
-        return describing_verdict(one)
-    if one.ended:
-        return f"outside the linear regime: {', '.join(one.ended)}; what physics does there is shown, and is no disagreement"
-    failed = failures(one)
-    if failed:
-        return f"DOES NOT AGREE in {len(failed)} claim{'s' * (len(failed) != 1)}"
-    invariants = "the invariants, " if one.extremes.invariants else ""
-    without = f" without its {one.without}" if one.without else ""
-    norm = "the norm as the largest gain" if one.extremes.lti or one.road is not None else "nothing above the norm"
-    return f"agrees{without}: every line, {invariants}and {norm}"
-
-
 def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
     """Returns a sweep as a JSON object: SI units, complex numbers as [real, imaginary], None for missing values."""
     if isinstance(one, DescribingFunction):
         return describing_object(one)
-    lines, norm = one.lines, one.extremes.worst
+    lines, norm, continuous = one.lines, one.extremes.worst, one.controller.certificate.norm.value
     error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
+    road = None
+    if one.road is not None:
+        road = {"gain": finite(one.road.gain), **{key: getattr(one.road, key) for key in ("predicted", "angle", "timestep")}}
     return {
         "controller": lines.controller.name,
         "without": one.without or None,
         "omega": lines.omega.tolist(),
         "signals": {
             name: {
-                "measured": finite_pairs(lines.measured[:, i]),
-                "sampled": finite_pairs(lines.sampled[:, i]),
-                "continuous": finite_pairs(lines.continuous[:, i]),
+                **{key: finite_pairs(getattr(lines, key)[:, i]) for key in ("measured", "sampled", "continuous")},
                 "error": {key: finite(value[i]) for key, value in error.items()},
             }
             for i, name in enumerate(lines.outputs)
@@ -309,24 +209,10 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
             {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": finite(i.measured)}
             for i in one.extremes.invariants
         ],
-        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(_norm(one))},
-        **_road_object(one),
+        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(continuous)},
+        **({} if one.sampled is None else {"sampled_norm": one.sampled.value, "worst_road": road}),
         "minimum_load": load_object(one.loads),
         "gains": {name: finite(gain) for name, gain in one.gains.items()},
         "ended": list(one.ended),
         "failures": failures(one),
     }
-
-
-def _road_object(one: Sweep) -> dict[str, Any]:
-    """Returns the exact norm of a sampled loop and the road that reaches it; empty without such a loop."""
-    if one.sampled is None:
-        return {}
-    road, measured = one.road, None
-    if road is not None:
-        measured = {"gain": finite(road.gain), "predicted": road.predicted, "angle": road.angle, "timestep": road.timestep}
-    return {"sampled_norm": one.sampled.value, "worst_road": measured}
-
-
-def _norm(one: Sweep) -> float:
-    return one.lines.controller.certificate.norm.value

@@ -1,7 +1,8 @@
 """Entries of the gallery: published numbers of a source, read from `models/gallery/NAME/entry.toml`."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -65,11 +66,6 @@ class PrintedNumber:
     reason: str = ""
     within: float = 0.0
     derived: bool = False
-
-    @property
-    def half_digit(self) -> float:
-        """Half a unit of the last printed digit, and its rounding."""
-        return 0.5 * 10.0**-self.digits * (1 + 1e-9)
 
     @property
     def text(self) -> str:
@@ -168,31 +164,25 @@ def read_entry(name: str) -> Entry:
         return _paper()
     path = FOLDER / name / "entry.toml"
     tables = parse_toml(path.read_text(encoding="utf-8"))
-    printed = tuple(_read(PrintedNumber, path, one) for one in tables.pop("printed", []))
-    missing = tuple(_read(MissingNumber, path, one) for one in tables.pop("missing", []))
-    sources = tuple(tables.pop("sources", ()))
-    if unknown := [one for one in (*sources, *(lack.source for lack in missing if lack.source)) if one not in SOURCES]:
-        raise InputError(f"{path.name} of {name}: unknown source {quoted(unknown[0])}; one of {listing(SOURCES)}")
     try:
-        return Entry(name, printed=printed, missing=missing, folder=path.parent, sources=sources, **tables)
+        printed = tuple(PrintedNumber(**{**one, "at": tuple(one.get("at", ()))}) for one in tables.pop("printed", []))
+        missing = tuple(MissingNumber(**one) for one in tables.pop("missing", []))
+        sources = tuple(tables.pop("sources", ()))
+        entry = Entry(name, printed=printed, missing=missing, folder=path.parent, sources=sources, **tables)
     except TypeError as error:
         raise InputError(f"{path.name} of {name}: {error}; give title, source, licence, printed and missing") from error
-
-
-def _read(what: type, path: Path, table: Mapping[str, Any]) -> Any:
-    allowed = [one.name for one in fields(what)]
-    if unknown := sorted(set(table) - set(allowed)):
-        raise InputError(f"{path.parent.name}/{path.name}: {quoted(unknown[0])} means nothing; allowed: {listing(allowed)}")
-    return what(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+    if unknown := [one for one in (*sources, *(lack.source for lack in missing if lack.source)) if one not in SOURCES]:
+        raise InputError(f"{path.name} of {name}: unknown source {quoted(unknown[0])}; one of {listing(SOURCES)}")
+    return entry
 
 
 def _paper() -> Entry:
-    """Returns the paper's own numbers, which `synth.vehicle.paper` holds, as an entry like the others."""
+    """Returns the paper's own numbers, from `synth.vehicle.paper`, as an entry like the others."""
     printed = tuple(
         PrintedNumber(
             what="paper",
             value=one.value,
-            digits=_decimals(one.digit),
+            digits=max(0, round(-math.log10(one.digit))),
             where=f"equation {one.equation}",
             vehicle="quarter_car",
             at=() if one.entry is None else one.entry,
@@ -206,8 +196,3 @@ def _paper() -> Entry:
     source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"
     about = "The paper that this project carries out: its gains, norms and bounds, each in its equation."
     return Entry(PAPER, title, source, "numbers alone are quoted", printed, (), HERE, about)
-
-
-def _decimals(digit: float) -> int:
-    """Returns the number of decimals whose last one has this unit: 4 for 1e-4, 0 for 1."""
-    return len(f"{digit:.10f}".rstrip("0").partition(".")[2])

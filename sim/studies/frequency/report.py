@@ -1,0 +1,238 @@
+"""Frequency responses, largest gains and minimum tyre loads as documents."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from models.common.printed import as_name, percent
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, at_most
+from models.document.reading import MANY
+from models.document.text import joined, names_text
+from models.vehicle.limits_and_implementation import Limits, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest_words
+from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
+from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
+from sim.studies.frequency.figure import HERTZ, STEP
+from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
+from sim.studies.frequency.sweep import GAIN, Sweep, failures
+from sim.studies.frequency.worst_case_gain import MeasuredInvariant
+from synth.controller.report import NORM, judged_lines
+
+
+def error_digits(error: float) -> str:
+    """Returns the digits of a relative error."""
+    return f"{error:.1e}" if error else "0"
+
+
+HZ = 1 / (2 * math.pi)  # from rad/s
+HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
+TIME = Field[float]("time", lambda one: one, ".4g", unit="s")
+SHARE = Field[float]("share of energy", lambda one: one, percent)
+PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")
+RESPONSES: tuple[Field[Lines], ...] = (
+    Field("controller", lambda one: one.controller.name),
+    Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
+    Field("to continuous", lambda one: one.error(one.continuous).max(), error_digits),
+    Field("order of the two", lambda one: one.order, ".2f"),
+)
+SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
+    Field("controller", lambda of: of[0].controller.name),
+    Field("signal", lambda of: of[0].outputs[of[1]].replace("_", " ")),
+    Field("error to sampled", lambda of: of[0].error(of[0].sampled)[of[1]], error_digits),
+    Field("to continuous", lambda of: of[0].error(of[0].continuous)[of[1]], error_digits),
+)
+GAINS: tuple[Field[Sweep], ...] = (
+    Field("controller", lambda one: one.controller.name),
+    Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
+    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
+    Field("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
+    *(Field[Sweep](road, lambda one, road=road: one.gains.get(road), "{:.4g}".format) for road in ("bump", "chirp", "random")),
+)
+NORMS: tuple[Field[Sweep], ...] = (
+    GAINS[0],
+    Field("norm, continuous", lambda one: NORM.value(one.controller.certificate), NORM.form),
+    Field("held-road norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s"),
+    Field("norm, sampled", lambda one: one.sampled and one.sampled.value, GAIN.form),
+    Field("worst road", lambda one: one.road and one.road.gain, GAIN.form),
+    Field("its timestep", lambda one: one.road and one.road.timestep, ".4g", 1e3, unit="ms"),
+)
+INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
+    Field("controller", lambda of: of[0]),
+    Field("invariant", lambda of: f"|{of[1].name}|"),
+    Field("at", lambda of: of[1].omega, ".2f", unit="rad/s"),
+    Field("for any suspension", lambda of: of[1].expected, ".6f"),
+    Field("MuJoCo", lambda of: of[1].measured, ".6f"),
+    Field("difference", lambda of: of[1].error, error_digits),
+)
+MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
+    Field("controller", lambda of: of[0].controller.name),
+    Field("signal", lambda of: of[0].outputs[of[1]].replace("_", " ")),
+    Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
+    Field("fundamental", lambda of: np.nanmax(np.abs(of[0].measured[:, of[1]])), "{:.4g}".format),
+    Field("at [Hz]", lambda of: of[0].omega[np.nanargmax(np.abs(of[0].measured[:, of[1]]))], "{:.3g}".format, HZ),
+    Field("energy outside", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
+    Field("at, in Hz", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
+)
+LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
+    Field("controller", lambda of: of[0]),
+    Field("wheel's", lambda of: of[1].tyre.replace("_", " ")),
+    Field("least load, predicted", lambda of: of[1].ratio, ".2f", 100, unit="%"),
+    Field("MuJoCo", lambda of: of[1].measured, ".2f", 100, unit="%"),
+    Field("at", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
+    Field("linear regime ended by", lambda of: of[1].end or "-"),
+)
+
+
+def describe(
+    vehicle: Vehicle,
+    lines: Sequence[Lines],
+    sweeps: Sequence[Sweep],
+    own: Sequence[DescribingFunction],
+    amplitude: float,
+    timestep: float,
+) -> Document:
+    """Returns the document on frequency responses and gains.
+
+    Args:
+        vehicle: the vehicle.
+        lines: frequency responses of the controllers.
+        sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
+        own: describing functions of nonlinear laws.
+        amplitude: largest height of the roads [m].
+        timestep: timestep of the physics [s].
+    """
+    text = [*_claims(lines, sweeps), *(each for one in own for each in _law_statements(one))]
+    text += [*notes(*_method(vehicle, lines, amplitude, timestep)), *notes(*_about(vehicle, sweeps, timestep), detail="full")]
+    tables = []
+    if lines:
+        tables.append(Table.of("frequency-responses", "Frequency responses in MuJoCo and in linear analysis.", RESPONSES, lines))
+    if sweeps:
+        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, sweeps), *_details(sweeps)]
+    if own:
+        caption = "Describing functions: fundamentals per road velocity, and the energy at other frequencies."
+        moving = [(one, i) for one in own for i in one.moving]
+        detail = "normal" if len(moving) <= MANY else "full"
+        tables.append(Table.of("describing-functions", caption, MOVING, moving, 3, detail=detail))
+    return Document("Frequency response", (*text, *tables))
+
+
+def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Statement]:
+    """Yields statements on the claims: a common one for all controllers whose claims hold, and one for each failure."""
+    of = {one.controller.name: one for one in sweeps}
+    failed = {name: failures(one) for name, one in of.items() if not one.ended}
+    holding: dict[str, list[Lines]] = {}
+    for one in lines:
+        if not (of.get(one.controller.name) or one).ended and not failed.get(one.controller.name):
+            holding.setdefault(_largest(of.get(one.controller.name)), []).append(one)
+    for largest, some in holding.items():
+        off = at_most(max(float(one.error(one.sampled).max()) for one in some))
+        names = names_text(one.controller.name for one in some)
+        text = f"Every frequency response in MuJoCo is within {off} of the exact one of the sampled loop for {names}."
+        yield Statement(f"{text} {largest}".rstrip(), "holds")
+    for name, texts in failed.items():
+        for i, text in enumerate(texts):
+            yield Statement(f"{as_name(name)} DOES NOT AGREE: {text}.", "fails", "full" if i else "normal")
+    for one in sweeps or lines:
+        if one.ended:
+            yield Statement(f"{as_name(one.controller.name)} left the linear regime: {joined([*one.ended])}.", "ends")
+
+
+def _largest(one: Sweep | None) -> str:
+    """Returns a sentence on the gains of a sweep whose claims hold, or an empty one without a sweep."""
+    if one is None:
+        return ""
+    if one.extremes.lti:
+        text = "The worst sinusoid reaches the held-road norm, and no other road has a larger gain"
+    elif one.sampled is None:
+        text = "The worst sinusoid has the predicted gain"
+    elif one.road is not None and not one.road.twisted:
+        text = "The worst road reaches the norm of the sampled loop"
+    else:
+        text = "No gain exceeds the norm of the sampled loop"
+    return f"{text}; the invariants hold." if one.extremes.invariants else f"{text}."
+
+
+def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
+    """Yields the notes that are always shown: how the responses were measured, and with which they are compared."""
+    how, limits = vehicle.implementation, Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
+    lag, noise = limits.phrases(()), how.noise_text
+    without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""
+    band, roads, steps = f"{LOWEST:g} to {HIGHEST:g} Hz", HEIGHT.text(amplitude), STEP.text(timestep)
+    yield f"Responses were measured from {band}, on roads of {roads} and in steps of {steps}{without}."
+    if lines:
+        held = how.without_noise.phrases or ("forces held over each timestep",)
+        yield (
+            f"'Sampled' is the exact response of the loop that MuJoCo runs: {', '.join((*held, *lag))}. 'Continuous' is that of "
+            f"the continuous loop{', with ' * bool(lag)}{', '.join(lag)}."
+        )
+    if words := at_rest_words(vehicle):
+        yield f"{words}: only this loop has a frequency response."
+
+
+def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterator[str]:
+    """Yields the notes on norms and gains."""
+    if not sweeps:
+        return
+    held = "The held-road norm is that of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
+    if steps_per_sample(vehicle.implementation, timestep) > 1:
+        yield f"{held} It omits the other frequencies that a force held over several timesteps adds, so a gain can be larger."
+    else:
+        yield f"{held} A road that moves during a timestep can have a larger gain."
+    if len(vehicle.kind.wheels) > 1:
+        yield "All wheels meet the same road here. The norms of the designs allow a different road under each wheel."
+    if inside := [one.controller.name for one in sweeps if one.sampled is not None and one.road is None]:
+        yield f"Motion within a sample decides the sampled norm of {names_text(inside)}, so no periodic road is the worst."
+    if any(one.road is not None and one.road.twisted for one in sweeps):
+        yield "The sampled norm also includes warp of the road, which the worst road does not contain."
+    yield from (f"{as_name(one.controller.name)}: {text}." for one in sweeps for text in judged_lines(one.controller))
+
+
+def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
+    """Yields the tables for -v."""
+    signals = [(one.lines, i) for one in sweeps for i in range(len(one.lines.outputs))]
+    invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
+    norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
+    yield Table.of("signals", "Largest errors of the frequency responses of each signal.", SIGNALS, signals, 2, detail="full")
+    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, sweeps, detail="full")
+    if invariants:
+        caption = "Transmissibilities from the road that no suspension force can change."
+        yield Table.of("invariants", caption, INVARIANTS, invariants, 2, detail="full")
+
+
+def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
+    """Yields statements on a nonlinear law: its largest gain, and the runs that were not measured."""
+    name, count, wild = as_name(one.controller.name), len(one.omega), np.isfinite(one.diverged)
+    yield from (Statement(f"{name}: {text}.", "fails") for text in describing_failures(one))
+    text = (
+        f"Linear analysis does not apply to {name}, {one.controller.kind}. It was driven over {count} sinusoids, one at a time."
+    )
+    if not wild.all():
+        largest = f"{PEAK.cell(one)} at {HERTZ.text(HZ * one.worst_omega)}"
+        outside = SHARE.text(float(np.nanmax(one.outside)))
+        text += f" The largest gain is {largest}. At most {outside} of a signal's energy is at other frequencies."
+    yield Statement(text)
+    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, as the states of the law overflowed")):
+        if which.any() and not wild.all():
+            first = TIME.text(float(np.min(one.diverged[which])))
+            yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. They are not measured.")
+    if one.ended:
+        yield Statement(f"{name} left the linear regime: {joined([*one.ended])}.")
+    if one.drift > STEADY:
+        drift, period = SHARE.text(one.drift), HERTZ.text(HZ * one.omega[0])
+        yield Statement(f"{name} has not settled: a fundamental changed by {drift} in a period of {period}.")
+    yield Statement(f"On other roads, or at other heights, the describing function of {name} can differ.", detail="full")
+
+
+def workshop(vehicle: Vehicle, sweeps: Sequence[Sweep]) -> Document:
+    """Returns the document on EUSAMA's test: the minimum load of each wheel under each controller."""
+    text = [
+        "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. Workshops grade dampers by the smallest tyre load, in "
+        f"% of the static load (EUSAMA TS-02-76). This is {DISPUTED}."
+    ]
+    text += [f"{words}."] if (words := at_rest_words(vehicle)) else []
+    loads = [(one.controller.name, load) for one in sweeps for load in one.loads]
+    table = Table.of("eusama", "Least load of each wheel.", LOADS, loads, 2)
+    return Document("Workshop test (EUSAMA)", (*notes(*text), table))

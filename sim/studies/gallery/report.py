@@ -1,0 +1,95 @@
+"""The gallery as documents and as JSON: published numbers next to ours, and the sources that are in it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, json_object
+from models.document.text import joined
+from sim.studies.gallery.entries import PAPER, SOURCES, Entry
+from sim.studies.gallery.numbers import DIFFERS, ON_ITS_GRID, REPRODUCED, WRONG, ComparedNumber
+
+Result = tuple[Entry, Sequence[ComparedNumber]]
+
+NUMBERS: tuple[Field[ComparedNumber], ...] = (
+    Field("number", lambda one: one.printed.text, key="number"),
+    Field("where", lambda one: one.printed.where, key="where", detail="full"),
+    Field("printed", lambda one: one.printed.shown),
+    Field("exact", lambda one: f"{one.exact:.{17 if one.printed.digits > 12 else 9}g}"),
+    Field("grid", lambda one: one.grid, ".7g", key="grid"),
+    Field("MuJoCo", lambda one: one.mujoco, ".7g", key="mujoco"),
+    Field("verdict", lambda one: one.verdict, key="verdict"),
+)
+COUNTS: tuple[Field[Result], ...] = (
+    Field("entry", lambda of: of[0].name),
+    Field("source", lambda of: of[0].title, detail="full"),
+    Field(REPRODUCED, lambda of: str(sum(one.verdict in (REPRODUCED, ON_ITS_GRID) for one in of[1]))),
+    *(Field[Result](word, lambda of, word=word: str(sum(one.verdict == word for one in of[1]))) for word in (DIFFERS, WRONG)),
+    Field("not expressible", lambda of: str(len(of[0].missing))),
+)
+
+
+def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
+    """Returns the document of an entry."""
+    wrong, exact = [one for one in numbers if one.verdict == WRONG], NUMBERS[3]
+    fails = [f"{one.printed.text} is {WRONG}: {exact.cell(one)}, not {one.printed.shown}." for one in wrong]
+    origin = f"Entry `{entry.name}`.", entry.about, f"Source: {entry.source}. Licence: {entry.licence}."
+    text = [" ".join(filter(None, origin))]
+    text += dict.fromkeys(f"Reason of a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
+    text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
+    text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
+    shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]
+    tables = [Table.of(f"gallery-{entry.name}", "Published numbers and ours.", shown, numbers, 2)] if numbers else []
+    return Document(entry.title, (*(Statement(one, "fails") for one in fails), *notes(*text), *tables))
+
+
+def summary(results: Sequence[Result]) -> Document:
+    """Returns the document on the whole gallery: how many numbers are reproduced, and which sources are in it."""
+    counts = [[int(field.cell(one)) for field in COUNTS[2:]] for one in results]
+    reproduced, differ, wrong, missing = (sum(each) for each in zip(*counts, strict=True))
+    derived = sum(one.printed.derived for _, numbers in results for one in numbers)
+    text = f"{reproduced} numbers are reproduced to all digits, and {differ} differ for a known reason"
+    text += f"; {wrong} are {WRONG}." * bool(wrong) or "."
+    more = [f"Not expressible in a vehicle file: {missing}."] if missing else []
+    more += [f"{derived} numbers follow from data or a formula of the source; the others are published."] if derived else []
+    with_numbers, without = sources([entry for entry, _ in results])
+    if any(entry.name == PAPER for entry, _ in results):
+        more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
+        more.append(f"The entries explain why {joined(without)} have no numbers.")
+    table = Table.of("gallery", "The entries, and how many of their numbers are reproduced.", COUNTS, results, 2, detail="brief")
+    state = "fails" if wrong else "holds"
+    return Document("", (table, Statement(text, state, "brief"), *notes(*more, detail="brief")), "brief")
+
+
+def sources(entries: Sequence[Entry]) -> tuple[list[str], list[str]]:
+    """Returns the sources of entries: those with numbers, and those that are not expressible."""
+    with_numbers = {name for entry in entries for name in entry.sources}
+    without = {lack.source for entry in entries for lack in entry.missing}
+    return [one for one in SOURCES if one in with_numbers], [one for one in SOURCES if one in without - with_numbers]
+
+
+def gallery_object(results: Sequence[Result]) -> dict[str, Any]:
+    """Returns the results for JSON."""
+    with_numbers, without = sources([entry for entry, _ in results])
+    return {
+        "entries": [_entry_object(*each) for each in results],
+        "sources": {"all": list(SOURCES), "with_numbers": with_numbers, "not_expressible": without},
+    }
+
+
+def _entry_object(entry: Entry, numbers: Sequence[ComparedNumber]) -> dict[str, Any]:
+    copied = ("digits", "unit", "reason", "derived")
+    return {
+        **{key: getattr(entry, key) for key in ("name", "title", "about", "source", "licence")},
+        "sources": list(entry.sources),
+        "numbers": [
+            {
+                **json_object(NUMBERS, one),
+                "exact": one.exact,
+                "printed": one.printed.value,
+                **{key: getattr(one.printed, key) for key in copied},
+            }
+            for one in numbers
+        ],
+        "missing": [vars(one) for one in entry.missing],
+    }
