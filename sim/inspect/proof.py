@@ -20,7 +20,7 @@ from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, energy_lines, half_step_object, run_object, verdict_lines
+from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, half_step_object, reasons, run_object
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, ONE_SIDED
 from synth.analysis.record import false_claims
@@ -205,7 +205,7 @@ def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
         for key, text in recorded.claims.items()
         if key not in OF_CERTIFICATE
     }
-    holds = [*verdict_lines(run), *energy_lines(run)]
+    holds = [one.text for one in reasons(run)]
     yield from _compared("claims", "the log", logged, now, "claims", holds)
 
 

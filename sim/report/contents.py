@@ -93,8 +93,6 @@ def report(
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
-        *report_answer.over_the_bump(scope, runs),
-        *report_answer.left_short(scope, runs),
         *report_answer.left_out(scope),
     ]
     sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]

@@ -5,18 +5,22 @@ run is that of the code is a check of its own (`sim.runs.commands`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite, table
+from models.common.printed import finite
+from models.document.document import Table
+from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
+from sim.runs.steps import DIFFERENCE
 from synth.controller.controller import AnyController, code_of
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
+SIZE = Field[str]("difference", str, ".2g")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ class CodeEffect:
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree"]
         if self.share > MOST:
             lines.append(
-                f"DOES NOT AGREE: the code moves {self.signal} by {self.share:.1e} of its peak, where {MOST:g} is allowed; "
+                f"DOES NOT AGREE: the code moves {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, allowed {MOST:g}; "
                 "export it in finer numbers, or with smaller ranges"
             )
         return lines
@@ -95,26 +99,30 @@ def code_object(effect: CodeEffect | None) -> dict[str, Any]:
     return {"code_difference": apart}
 
 
-def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
-    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
-    if effect is None:
-        return ""
-    line = f"compiled code in {effect.numbers} drives it"
-    if effect.clipped:
-        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
-    if not any(map(effect.peak, effect.apart)):
-        return f"{line}; its run equals that of the law bit for bit"
-    force = max(vehicle.linear_model.inputs, key=effect.peak)
-    return (
-        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
-        f"and any signal by {effect.share:.1e} of its peak at most"
-    )
-
-
-def code_table(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
-    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
+def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+    """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
     if effect is None:
         return []
-    units = {name: vehicle.kind.signal(name).unit for name in effect.apart}
-    rows = [(f"{name} [{unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name, unit in units.items()]
-    return table([("code against law", "peak", "rms"), *rows])
+    line = f"compiled code in {effect.numbers} drives it"
+    if effect.clipped:
+        return [f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"]
+    if not any(map(effect.peak, effect.apart)):
+        return [f"{line}; its run equals that of the law bit for bit"]
+    force = max(vehicle.linear_model.inputs, key=effect.peak)
+    apart = f"{SIZE.digits(effect.peak(force))} N at most and {SIZE.digits(effect.rms(force))} N rms"
+    return [
+        f"{line}; {force} differs from that of the law by {apart}, and any signal by {DIFFERENCE.digits(effect.share)} of its "
+        "peak at most"
+    ]
+
+
+def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
+    """Returns the difference of every signal from the run with the law itself."""
+    fields = (
+        Field[str]("signal", lambda name: name.replace("_", " ")),
+        Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
+        replace(SIZE, label="rms", value=effect.rms),
+        replace(SIZE, label="at most", value=effect.peak),
+    )
+    caption = "Difference of MuJoCo's run with the code from its run with the law itself, over the same road."
+    return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")

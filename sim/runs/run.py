@@ -39,20 +39,6 @@ class ShownRun(Shown):
     prediction: Prediction
     physics: Response
     agreement: Agreement
-    energy: Energy | None
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns the verdict, and the vehicle, road and times as text."""
-        verdict = self.agreement.verdict
-        if self.energy is not None:
-            verdict += f"; energy {self.energy.verdict}"
-        time = self.physics.time
-        return f"run of {self.prediction.controller.name}: {verdict}", {
-            "vehicle": self.prediction.vehicle.kind.name,
-            "road": self.prediction.road.words,
-            "time": f"{time[-1]:g} s at {time[1]:g} s",
-        }
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
@@ -146,6 +132,17 @@ class Run(ShownRun):
     qpos: Array | None = None
     energy: Energy | None = None
     half_step: HalfStep | None = None
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns the verdict, and the vehicle, road and times as text."""
+        from sim.runs.report import verdict
+
+        return f"run of {self.controller.name}: {verdict(self).text}", {
+            "vehicle": self.vehicle.kind.name,
+            "road": self.road.words,
+            "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
+        }
 
     @property
     def vehicle(self) -> Vehicle:

@@ -22,8 +22,7 @@ from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
-from sim.runs.code_effect import code_line
-from sim.runs.report import verdict_lines
+from sim.runs.code_effect import code_notes
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
@@ -34,6 +33,7 @@ from synth.controller.export.compiled import ExportedCode
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
+from tests.support.analysed import reasons_of
 from tests.support.commands import attacks, prose
 
 STEP = 1e-3
@@ -74,7 +74,7 @@ def test_a_run_is_that_of_our_law(name, text):
     on = road_under(vehicle, 1.0, 0)
     both = run_controllers(vehicle, [driver, coded(vehicle, driver, "double")], on.road, on.time)
     assert [run.passed for run in both] == [True, True]
-    assert both[0].agreement.verdict == both[1].agreement.verdict
+    assert both[0].agreement.agrees == both[1].agreement.agrees
     ours, code = simulate([driver], [on]), simulate([coded(vehicle, driver, "double")], [on])
     scale = np.abs(ours.response.values).max(axis=1)
     off = np.abs(ours.response.values - code.response.values).max(axis=1)
@@ -122,7 +122,7 @@ def test_code_of_another_law_does_not_agree(numbers):
     code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
     (run,) = run_controllers(vehicle, [dataclasses.replace(law, code=code)], on.road, on.time)
     assert not run.passed
-    assert "DOES NOT AGREE: the code moves" in prose(" ".join(verdict_lines(run)))
+    assert "DOES NOT AGREE: the code moves" in prose(" ".join(reasons_of(run)))
 
 
 @needs_cc
@@ -133,7 +133,7 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "leaves its range on this road and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([code_line(run.prediction.code_effect, vehicle), *verdict_lines(run)]))
+        assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *reasons_of(run)]))
 
 
 @pytest.fixture(scope="module")
