@@ -253,16 +253,18 @@ def verdicts(runs: Iterable[Run], where: str = "") -> tuple[Statement, ...]:
 
 
 def shared(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Statement, ...]:
-    """Returns statements about several controllers; those with the same words share one, with the span of their times.
+    """Returns statements about several controllers; those with the same words share one, with the span of many times.
 
     Args:
         said: names of controllers, each with a statement.
         where: text before each of them.
     """
-    alike: dict[Statement, list[tuple[str, list[str]]]] = {}
-    for name, one in said:
-        times = [when for _, when in NUMBERS.findall(one.text)]
-        alike.setdefault(replace(one, text=NUMBERS.sub(r"\1 ... s", one.text)), []).append((name, times))
+    pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
+    few = len({name for name, _ in pairs}) <= FEW
+    for name, one in pairs:
+        times = [] if few else [when for _, when in NUMBERS.findall(one.text)]
+        pattern = one if few else replace(one, text=NUMBERS.sub(r"\1 ... s", one.text))
+        alike.setdefault(pattern, []).append((name, times))
     statements = []
     for one, some in alike.items():
         text = one.text
