@@ -300,7 +300,8 @@ def reasons(run: Run) -> tuple[Statement, ...]:
 
         said += damper_notes(run)
     if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
-        said += [*_checks(run), *_distance(run), *_balance(run)]
+        said += [*_checks(run), *_distance(run)]
+    said += _balance(run)
     return (*notes(*filter(None, [stops])), *(replace(one, detail=detail) for one in said))
 
 

@@ -208,12 +208,7 @@ def test_an_overflow_is_not_blamed_on_the_physics():
     off = replace(run, energy=replace(run.energy, residual=1.0))
     late = replace(off, agreement=replace(off.agreement, steps=replace(steps, error=1.0)))
     for one in (off, late):
-        said = " ".join(
-            [
-                verdict(one).text,
-                *reasons_of(one),
-            ]
-        )
+        said = " ".join([verdict(one).text, *reasons_of(one)])
         assert verdict(one).text.startswith(f"LAW OVERFLOW at {run.diverged:.4g} s: ")
         assert "DOES NOT" not in said
         assert "the vehicle does not have" not in said
