@@ -7,21 +7,18 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.common.printed import as_name
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
-from models.roads.road import Bump
-from models.vehicle.names import PASSIVE
 from sim.command.drive_options import end_lines
-from sim.report.scope import BUMP_DURATION, Scope, change_text, names_text
+from sim.report.scope import BUMP_DURATION, Scope, names_text
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
 from sim.runs.run import Run
-from sim.runs.steps import DIFFERENCE
-from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_figure, history_panels, lines_text
+from sim.runs.steps import DIFFERENCE, WHEN
+from sim.runs.time_histories import OF_LINE, history_figure
 from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics
 from synth.controller.controller import Controller
 
@@ -38,7 +35,7 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
     if not drawn:
         return None
     title = (
-        f"Forces of dampers and springs {where}, with their curves or limits, and the lines of linear analysis.\n"
+        f"Forces of dampers and springs over {where}, with their curves or limits, and the lines of linear analysis.\n"
         "Points: MuJoCo, a damper with its actuator"
     )
     panels = tuple(_panel(scope, diagram, runs) for diagram in drawn)
@@ -63,35 +60,45 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
-def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Document:
-    """The paper's Fig. 4, and the peaks in it."""
+def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
+    """Returns the section on the road of the report: its signals over time, and their peaks or, measured when, the metrics."""
+    road = scope.own_road
+    drawn = history_figure(runs, scope.where if road is None else scope.road_name), suspension_figure(scope, runs, scope.where)
+    figures = [one for one in drawn if one is not None]
+    if road is None:
+        return Document("Response to the paper's bump", (*run_statements(runs, scope.where), *figures, _peaks(scope, runs)))
+    about = f"{road.words}. The runs take {scope.duration:g} s; metrics are measured {when}."
+    about = " ".join([f"{about[0].upper()}{about[1:]}", *(line.strip() for line in end_lines(road, scope.duration))])
+    said = (*notes(about), *run_statements(runs, scope.where))
+    return Document("Response to the road", (*said, *figures, _metrics(runs, measured)))
+
+
+def _peaks(scope: Scope, runs: Sequence[Run]) -> Table:
+    """Returns peaks and rms values of every weighted signal over the bump."""
     vehicle = scope.vehicle
-    signals = [name for name, weight in vehicle.performance.items() if weight > 0]
-    simple = scope.prompt and not scope.is_nonlinear
-    panels = history_panels(runs, scope.styles, lambda run: _bounded(scope, run), continuous=simple)
-    lines = f"linear analysis of the continuous loop{scope.lag}"
-    if not simple:
-        lines = f"{scope.analysis} of the loop as it runs, {scope.as_it_runs}"
-    title = (
-        f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
-        f"{lines_text(panels, lines, all(_bounded(scope, run) for run in runs))} at {1e3 * scope.timestep:g} ms"
-    )
-    figure = Figure("bump", title, tuple(panels), columns=2 if len(panels) <= 4 else 3, finding=_least_peak(scope, runs))
+    pairs = [(run, name) for name, weight in vehicle.performance.items() if weight > 0 for run in runs]
     columns: tuple[Field[tuple[Run, str]], ...] = (
         Field("signal", lambda of: of[1].replace("_", " ")),
         Field("unit", lambda of: vehicle.kind.signal(of[1]).unit),
         Field("controller", lambda of: of[0].controller.name),
-        Field(
-            "linear until", lambda of: min(of[0].agreement.until, *of[0].agreement.ended.values(), BUMP_DURATION), ".4g", unit="s"
-        ),
+        Field("linear until", lambda of: min(_linear_until(of[0]), BUMP_DURATION), WHEN.form, unit="s"),
         *SIZES,
     )
     caption = "Peaks over the bump in MuJoCo; below, and in the file, peaks of both linear responses, and all rms values."
-    pivot = Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",))
-    table = Table.of("bump", caption, columns, [(run, name) for name in signals for run in runs], words=3, pivot=pivot)
-    diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
-    figures = (figure,) if diagram is None else (figure, diagram)
-    return Document("Response to the paper's bump", (*run_statements(runs, scope.where), *figures, table))
+    return Table.of("bump", caption, columns, pairs, words=3, pivot=Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",)))
+
+
+def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
+    """Returns the metrics of every run."""
+    pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
+    columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
+        Field("metric", lambda of: of[1].replace("_", " ")),
+        METRIC[0].of(lambda of: of[2]),
+        Field("controller", lambda of: of[0].controller.name),
+        *(column.of(lambda of: of[2]) for column in METRIC[1:]),
+    )
+    caption = "Every metric in MuJoCo; below, and in the file, in the sampled response, and the mean over all such roads."
+    return Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
 
 
 def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
@@ -121,25 +128,9 @@ def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetric
     )
 
 
-def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
-    """Returns a sentence on the controller with the smallest peak acceleration of the body; empty without a choice."""
-    name, peaks = acceleration_peaks(runs)
-    if not name:
-        return ""
-    least = min(peaks, key=lambda one: peaks[one])
-    against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))
-    words, unit = name.replace("_", " "), scope.vehicle.kind.signal(name).unit
-    return f"Over the bump {as_name(least)} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
-
-
 def _linear_until(run: Run) -> float:
     """Returns the time of the first event that ends the linear regime [s]; infinite without one."""
     return min(run.agreement.until, *run.agreement.ended.values())
-
-
-def _bounded(scope: Scope, run: Run) -> bool:
-    """Returns True if the motion after the linear regime is bounded, so that its line has a bound."""
-    return not scope.unstable(run.controller) and run.broke_off is None
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
