@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import Shown, cell, html_table
+from models.common.printed import Shown, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
@@ -26,71 +26,7 @@ from sim.runs.prediction import Prediction, predicted
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
-    from models.document.figure import Panel
     from sim.physics.driver import RunDriver
-
-
-POINTS = 1000  # points of a drawn curve, about
-
-
-class ShownRun(Shown):
-    """Notebook view of a run."""
-
-    prediction: Prediction
-    physics: Response
-    agreement: Agreement
-
-    @property
-    def broke_off(self) -> tuple[str, float] | None:
-        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
-        first = min(ends, key=lambda name: ends[name])
-        return (first, ends[first]) if math.isfinite(ends[first]) else None
-
-    def _repr_html_(self) -> str:
-        from models.document.notebook import notebook_figure
-
-        return super()._repr_html_() + self._peaks() + notebook_figure(self._panel())
-
-    def _peaks(self) -> str:
-        """Returns the table of peaks: physics, sampled response, and the error that decides the verdict."""
-        physics, sampled = self.physics, self.prediction.sampled
-        kind = self.prediction.vehicle.kind
-        rows = [
-            (
-                f"{name} [{kind.signal(name).unit}]",
-                *(cell(float(response.peak(name)), ".6g") for response in (physics, sampled)),
-                cell(error.sampled, ".1e"),
-            )
-            for name, error in self.agreement.signals.items()
-        ]
-        return html_table("peaks", [("signal", "MuJoCo", "sampled", "error"), *rows])
-
-    def _panel(self) -> "Panel":
-        """Returns a plot of the signal with the largest weighted peak until the run broke off: MuJoCo red, sampled blue."""
-        from models.document.figure import Curve, Panel
-        from models.document.notebook import BLUE, RED
-
-        event, at = self.broke_off or ("", math.inf)
-        until = max(at, float(self.physics.time[2]))  # at least two samples
-        physics, sampled = self.physics.until(until), self.prediction.sampled.until(until)
-        weights = {name: weight for name, weight in self.prediction.vehicle.performance.items() if weight}
-        most = max(weights, key=lambda name: weights[name] * float(np.nan_to_num(sampled.peak(name), posinf=0.0)))
-        unit = next(signal.unit for signal in physics.signals if signal.name == most)
-        every = -(-len(physics.time) // POINTS)
-        curves = tuple(
-            Curve(
-                response.time[::every],
-                np.where(np.isfinite(response[most][::every]), response[most][::every], np.nan),
-                label=label,
-                color=color,
-                width=width,
-            )
-            for response, label, color, width in ((sampled, "sampled", BLUE, 3.0), (physics, "MuJoCo", RED, 1.2))
-        )
-        title = f"{self.prediction.controller.name}{f', until {event} at {at:.4g} s' if event else ''}:"
-        return Panel(title, "time [s]", f"{most.replace('_', ' ')} [{unit}]", curves)
-
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
@@ -113,7 +49,7 @@ class HalfStep:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(ShownRun):
+class Run(Shown):
     """Run of physics with its prediction.
 
     Attributes:
@@ -143,6 +79,23 @@ class Run(ShownRun):
             "road": self.road.words,
             "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
         }
+
+    def _repr_html_(self) -> str:
+        from models.document.figure import Style
+        from models.document.notebook import BLUE, notebook_figure
+        from sim.runs.report import signal_table
+        from sim.runs.time_histories import history_panels
+
+        table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
+        drawn = [notebook_figure(panel) for panel in history_panels([self], look)[:1]]
+        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(drawn)
+
+    @property
+    def broke_off(self) -> tuple[str, float] | None:
+        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
+        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
+        first = min(ends, key=lambda name: ends[name])
+        return (first, ends[first]) if math.isfinite(ends[first]) else None
 
     @property
     def vehicle(self) -> Vehicle:
