@@ -2,8 +2,7 @@
 
 from models.document.document import Document, Table, notes
 from sim.report.scope import Exported, Scope
-from sim.runs.code_effect import code_notes, code_table
-from sim.runs.report import verdicts
+from sim.runs.report import code_notes, code_table, verdicts
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import code_of
 

@@ -5,22 +5,18 @@ run is that of the code is a check of its own (`sim.runs.commands`).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite
-from models.document.document import Table
-from models.document.field import Field
-from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from sim.runs.steps import DIFFERENCE
 from synth.controller.controller import AnyController, code_of
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
-SIZE = Field[str]("difference", str, ".2g")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,32 +93,3 @@ def code_object(effect: CodeEffect | None) -> dict[str, Any]:
         return {}
     apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
     return {"code_difference": apart}
-
-
-def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
-    if effect is None:
-        return []
-    line = f"compiled code in {effect.numbers} drives it"
-    if effect.clipped:
-        return [f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"]
-    if not any(map(effect.peak, effect.apart)):
-        return [f"{line}; its run equals that of the law bit for bit"]
-    force = max(vehicle.linear_model.inputs, key=effect.peak)
-    apart = f"{SIZE.digits(effect.peak(force))} N at most and {SIZE.digits(effect.rms(force))} N rms"
-    return [
-        f"{line}; {force} differs from that of the law by {apart}, and any signal by {DIFFERENCE.digits(effect.share)} of its "
-        "peak at most"
-    ]
-
-
-def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
-    """Returns the difference of every signal from the run with the law itself."""
-    fields = (
-        Field[str]("signal", lambda name: name.replace("_", " ")),
-        Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
-        replace(SIZE, label="rms", value=effect.rms),
-        replace(SIZE, label="at most", value=effect.peak),
-    )
-    caption = "Difference of MuJoCo's run with the code from its run with the law itself, over the same road."
-    return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")

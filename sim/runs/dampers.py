@@ -6,19 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from models.common.printed import percent
-from models.document.document import Statement, notes
-from models.document.field import Field
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import bent_velocities, commands_of, squarable, stretching
 from sim.response.regime import MISSED
 from sim.response.response import Response
-from sim.runs.run import Run
-from synth.controller.controller import Controller
-
-HALF = 0.5  # of the requested force: if dampers miss more, linear analysis says little about the run
-SOFTEST = Field[float]("coefficient", float, ".4g", unit="N s/m")
 
 
 @dataclass(frozen=True)
@@ -67,21 +59,3 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 def dampers_object(vehicle: Vehicle, physics: Response) -> dict[str, Any]:
     """Returns the results of a run's adjustable dampers as a JSON object."""
     return {"shortfall": {name: asdict(one) for name, one in shortfalls(vehicle, physics).items()}}
-
-
-def damper_notes(run: Run) -> list[Statement]:
-    """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
-    names, texts, most = {one.force: one.coefficient for one in run.vehicle.adjustable}, list[str](), 0.0
-    for force, one in shortfalls(run.vehicle, run.physics).items():
-        most = max(most, one.rms)
-        if one.late:
-            texts.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
-        if one.time:
-            texts.append(
-                f"{names[force]} is from {SOFTEST.digits(one.softest)} to {SOFTEST.text(one.hardest)}; it cannot give "
-                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
-            )
-    if most > HALF and isinstance(run.controller, Controller):
-        text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"
-        return [*notes(*texts), Statement(text, "ends")]
-    return [*notes(*texts)]

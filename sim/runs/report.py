@@ -35,8 +35,8 @@ from sim.response.regime import (
     departures,
 )
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
-from sim.runs.code_effect import code_notes, code_object, code_table
-from sim.runs.run import Reference, Run
+from sim.runs.code_effect import CodeEffect, code_object
+from sim.runs.result import Reference, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from synth.controller.controller import AnyController, Controller, has_anti_windup
 from synth.controller.law_margins import law_margins
@@ -68,10 +68,13 @@ ENERGY: tuple[Field[Energy], ...] = (
     RESIDUAL := Field("left over", attrgetter("residual"), "{:.1e}".format),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
+HALF = 0.5  # of the requested force: if dampers miss more, linear analysis says little about the run
+COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
+OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SOURCES = {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}
-SIZES: tuple[Field[tuple[Run, str]], ...] = tuple(  # of a signal of a run
+SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), ".5g")
     for what in ("peak", "rms")
     for name, source in SOURCES.items()
@@ -87,7 +90,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
-def run_object(run: Run) -> dict[str, Any]:
+def run_object(run: RunResult) -> dict[str, Any]:
     """Returns a run as a JSON object: SI units, None for infinite or missing values."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
     agreement = run.agreement
@@ -124,7 +127,7 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
     return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
 
 
-def _parts_object(run: Run) -> dict[str, Any]:
+def _parts_object(run: RunResult) -> dict[str, Any]:
     """Returns the results of bump stops and semi-active dampers, each under its own key; empty without such parts."""
     parts = {}
     if run.vehicle.limits.stopped:
@@ -138,7 +141,7 @@ def _parts_object(run: Run) -> dict[str, Any]:
     return parts
 
 
-def half_step_object(run: Run) -> dict[str, Any] | None:
+def half_step_object(run: RunResult) -> dict[str, Any] | None:
     """Returns the change by half the step after a lift-off as a JSON object, or None if it is unknown."""
     half_step = run.half_step
     return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
@@ -157,7 +160,7 @@ def controller_object(controller: AnyController) -> dict[str, Any]:
     }
 
 
-def energy_table(runs: Sequence[Run], where: str) -> Table:
+def energy_table(runs: Sequence[RunResult], where: str) -> Table:
     """Returns the table of every run's energy balance."""
     known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
@@ -200,7 +203,7 @@ def claims(controller: AnyController) -> str:
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
 
 
-def verdict(run: Run) -> Statement:
+def verdict(run: RunResult) -> Statement:
     """Returns the verdict on a run: its checks, the range of linear analysis, and its energy balance, in a few words."""
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
@@ -233,7 +236,7 @@ def verdict(run: Run) -> Statement:
     return Statement(f"{loop}{'; '.join(words)}", "fails" if not run.passed else "ends" if ends else "holds", "brief")
 
 
-def _when(run: Run) -> str:
+def _when(run: RunResult) -> str:
     """Returns the time until which linear analysis applies, and what ends it."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
@@ -247,7 +250,7 @@ def _when(run: Run) -> str:
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
 
-def verdicts(runs: Iterable[Run], where: str = "") -> tuple[Statement, ...]:
+def verdicts(runs: Iterable[RunResult], where: str = "") -> tuple[Statement, ...]:
     """Returns the verdicts on runs, after a text on where they were; runs with the same verdict share a statement."""
     return shared(((run.controller.name, verdict(run)) for run in runs), where)
 
@@ -284,7 +287,7 @@ def joined_names(names: Sequence[str]) -> str:
     return "; ".join(f"{f'{vehicle}: ' if vehicle else ''}{', '.join(some)}" for vehicle, some in by_vehicle.items())
 
 
-def reasons(run: Run) -> tuple[Statement, ...]:
+def reasons(run: RunResult) -> tuple[Statement, ...]:
     """Returns the events of a run, its checks, its distance from linear analysis, and its energy balance, a sentence each.
 
     Those of a run that passes, and stays in its range, are details.
@@ -296,16 +299,14 @@ def reasons(run: Run) -> tuple[Statement, ...]:
 
         stops = stop_note(run)
     if run.vehicle.dampers:
-        from sim.runs.dampers import damper_notes
-
-        said += damper_notes(run)
+        said += _damper_notes(run)
     if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*notes(*filter(None, [stops])), *(replace(one, detail=detail) for one in said))
 
 
-def _events(run: Run) -> Iterator[str]:
+def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
@@ -353,7 +354,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
     return [f"lift-off: a tyre is off the ground {span}" for span in spans]
 
 
-def _checks(run: Run) -> Iterator[Statement]:
+def _checks(run: RunResult) -> Iterator[Statement]:
     """Yields a sentence on each of the two checks: steps against equations, and commands against the control law."""
     steps, commands, code = run.agreement.steps, run.agreement.commands, run.agreement.code_effect
     if steps is None:
@@ -380,7 +381,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     return Statement(text, "note" if one.agrees else "fails")
 
 
-def _distance(run: Run) -> Iterator[Statement]:
+def _distance(run: RunResult) -> Iterator[Statement]:
     """Yields sentences on the distance from linear analysis, and its cause."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
@@ -409,7 +410,7 @@ def _distance(run: Run) -> Iterator[Statement]:
         )
 
 
-def _balance(run: Run) -> Iterator[Statement]:
+def _balance(run: RunResult) -> Iterator[Statement]:
     """Yields a sentence on the energy balance of a run, if it is known."""
     energy = run.energy
     if energy is None:
@@ -431,7 +432,7 @@ def _balance(run: Run) -> Iterator[Statement]:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are "-"
-def describe_run(run: Run, passive: Run | Reference | None = None) -> Document:
+def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -> Document:
     """Returns a run as a document: its verdict, its controller's claims, its signals, and the reasons of the verdict.
 
     Args:
@@ -455,7 +456,7 @@ def describe_run(run: Run, passive: Run | Reference | None = None) -> Document:
     )
 
 
-def signal_table(run: Run, passive: Run | Reference | None) -> Table:
+def signal_table(run: RunResult, passive: RunResult | Reference | None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
     rows = []
     for name, signal in run.agreement.signals.items():
@@ -473,7 +474,56 @@ def signal_table(run: Run, passive: Run | Reference | None) -> Table:
     return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, tuple(rows))
 
 
-def events(run: Run) -> tuple[tuple[float, str], ...]:
+def _damper_notes(run: RunResult) -> list[Statement]:
+    """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
+    from sim.runs.dampers import shortfalls
+
+    names, texts, most = {one.force: one.coefficient for one in run.vehicle.adjustable}, list[str](), 0.0
+    for force, one in shortfalls(run.vehicle, run.physics).items():
+        most = max(most, one.rms)
+        if one.late:
+            texts.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
+        if one.time:
+            texts.append(
+                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; it cannot give "
+                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
+            )
+    if most > HALF and isinstance(run.controller, Controller):
+        text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"
+        return [*notes(*texts), Statement(text, "ends")]
+    return [*notes(*texts)]
+
+
+def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+    """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
+    if effect is None:
+        return []
+    line = f"compiled code in {effect.numbers} drives it"
+    if effect.clipped:
+        return [f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"]
+    if not any(map(effect.peak, effect.apart)):
+        return [f"{line}; its run equals that of the law bit for bit"]
+    force = max(vehicle.linear_model.inputs, key=effect.peak)
+    apart = f"{OF_CODE.digits(effect.peak(force))} N at most and {OF_CODE.digits(effect.rms(force))} N rms"
+    return [
+        f"{line}; {force} differs from that of the law by {apart}, and any signal by {DIFFERENCE.digits(effect.share)} of its "
+        "peak at most"
+    ]
+
+
+def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
+    """Returns the difference of every signal from the run with the law itself."""
+    fields = (
+        Field[str]("signal", lambda name: name.replace("_", " ")),
+        Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
+        replace(OF_CODE, label="rms", value=effect.rms),
+        replace(OF_CODE, label="at most", value=effect.peak),
+    )
+    caption = "Difference of MuJoCo's run with the code from its run with the law itself, over the same road."
+    return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")
+
+
+def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, by time [s]."""
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +15,15 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
-from sim.physics.energy import Energy, energy
+from sim.physics.energy import energy
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.response.regime import FLAT, broken_by
+from sim.response.regime import FLAT
 from sim.response.response import Response
-from sim.runs.agreement import SMALL, Agreement, compare, to_first_order
+from sim.runs.agreement import SMALL, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
+from sim.runs.report import signal_table, verdict
+from sim.runs.result import HalfStep, Reference, RunResult
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
@@ -33,47 +34,13 @@ MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a mi
 STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
 
 
-@dataclass(frozen=True)
-class HalfStep:
-    """Change of the physics by half the timestep, with the same sampling of the controller, after a tyre has left the road.
-
-    After a lift-off no linear response is exact, and RK4 steps over the moments at which a tyre leaves and lands.
-
-    Attributes:
-        difference: largest difference of any signal, over its peak; infinite if one of the two runs diverged.
-        signal: name of that signal.
-    """
-
-    difference: float
-    signal: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Shown):
-    """Run of physics with its prediction.
-
-    Attributes:
-        prediction: linear analysis of this vehicle, controller and road.
-        physics: the response in MuJoCo.
-        agreement: physics against analysis.
-        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
-        energy: energy balance, or None for such a run.
-        half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
-            noisy or quantised, which differs at other steps.
-    """
-
-    prediction: Prediction
-    physics: Response
-    agreement: Agreement
-    qpos: Array | None = None
-    energy: Energy | None = None
-    half_step: HalfStep | None = None
+class Run(RunResult, Shown):
+    """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns the verdict, and the vehicle, road and times as text."""
-        from sim.runs.report import verdict
-
         return f"run of {self.controller.name}: {verdict(self).text}", {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
@@ -83,59 +50,11 @@ class Run(Shown):
     def _repr_html_(self) -> str:
         from models.document.figure import Style
         from models.document.notebook import BLUE, notebook_figure
-        from sim.runs.report import signal_table
         from sim.runs.time_histories import history_panels
 
         table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
         drawn = [notebook_figure(panel) for panel in history_panels([self], look)[:1]]
         return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(drawn)
-
-    @property
-    def broke_off(self) -> tuple[str, float] | None:
-        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
-        first = min(ends, key=lambda name: ends[name])
-        return (first, ends[first]) if math.isfinite(ends[first]) else None
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle, with the limits and implementation of this run."""
-        return self.prediction.vehicle
-
-    @property
-    def controller(self) -> AnyController:
-        """Returns the controller of the run."""
-        return self.prediction.controller
-
-    @property
-    def road(self) -> Road:
-        """The road."""
-        return self.prediction.road
-
-    @property
-    def sampled(self) -> Response:
-        """Exact linear response of the sampled loop."""
-        return self.prediction.sampled
-
-    @property
-    def continuous(self) -> Response:
-        """Exact linear response of the continuous closed loop."""
-        return self.prediction.continuous
-
-    @property
-    def diverged(self) -> float:
-        """Time at which the physics diverged [s]; infinite if it did not."""
-        return self.physics.diverged
-
-    @property
-    def agrees(self) -> bool:
-        """Returns True if physics agrees with its analysis, for as long as that applies."""
-        return self.agreement.agrees
-
-    @property
-    def passed(self) -> bool:
-        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
-        return self.agrees and (self.energy is None or not self.energy.fails)
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -199,27 +118,6 @@ def run_controllers(
     predictions = [predicted(each, on, physics.requested_force[i]) for i, each in enumerate(controllers)]
     runs = compare_runs(predictions, physics)
     return with_energy_balance(runs, physics) if balanced else runs
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Run of a linear controller for comparison in tables, without a verdict.
-
-    Attributes:
-        physics: response in MuJoCo.
-        controller: the controller.
-        input: the vehicle and its road.
-    """
-
-    physics: Response
-    controller: Controller
-    input: RoadInput
-
-    @cached_property
-    @np.errstate(over="ignore", invalid="ignore")
-    def sampled(self) -> Response:
-        """The exact linear response of the sampled loop."""
-        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled
 
 
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:

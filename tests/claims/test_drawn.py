@@ -16,8 +16,8 @@ from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
 from tests.models.test_loads import road_of
 from tests.models.test_vehicle_options import LINKS
-from tests.support.analysed import reasons_of
 from tests.support.commands import attacks
+from tests.support.drives import reasons_of
 from tests.support.pairs import CORNERS, FILES, VELOCITIES
 
 SAMPLES = 1500  # of a run, at most

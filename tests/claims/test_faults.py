@@ -24,9 +24,9 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.runs.report import verdict
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
-from tests.support.analysed import reasons_of
 from tests.support.commands import attacks
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text
+from tests.support.drives import reasons_of
 from tests.support.faults import Fault, built_with, miswritten, places, scaled
 from tests.support.pairs import CORNERS, VELOCITIES
 

@@ -13,8 +13,9 @@ from models.vehicle.vehicle import read_vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.support.analysed import continuous_response, reasons_of, sampled_radius, sampled_response, simulate
+from tests.support.analysed import continuous_response, sampled_radius, sampled_response, simulate
 from tests.support.commands import refused
+from tests.support.drives import reasons_of
 
 
 def with_reality(vehicle, limits=None, implementation=None):

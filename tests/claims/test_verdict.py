@@ -19,9 +19,10 @@ from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer, certify_given
-from tests.support.analysed import predict, reasons_of, simulate
+from tests.support.analysed import predict, simulate
 from tests.support.commands import attacks
 from tests.support.curved import with_curves
+from tests.support.drives import reasons_of
 from tests.support.faults import miswritten
 from tests.support.pages import hopper
 

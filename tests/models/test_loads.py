@@ -33,9 +33,10 @@ from sim.response.response import Response
 from sim.runs.report import LOST, NO_STATE, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
-from tests.support.analysed import continuous_response, energy, reasons_of, sampled_response, simulate
+from tests.support.analysed import continuous_response, energy, sampled_response, simulate
 from tests.support.commands import attacks, in_the_suite, once, prose, refused
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE, with_curves
+from tests.support.drives import reasons_of
 from tests.support.shared import designed
 
 BAR = "[parameters]\nanti_roll_stiffness_front = 2e4"

@@ -16,7 +16,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.response.regime import SATURATION
 from sim.runs.run import run_controllers, sample_times
 from tests.conftest import random_vehicles
-from tests.support.analysed import reasons_of
+from tests.support.drives import reasons_of
 from tests.support.shared import designed
 
 

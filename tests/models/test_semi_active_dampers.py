@@ -20,8 +20,9 @@ from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
-from tests.support.analysed import energy, reasons_of, sampled_response, simulate
+from tests.support.analysed import energy, sampled_response, simulate
 from tests.support.commands import attacks, refused
+from tests.support.drives import reasons_of
 
 QUARTER = """
 type = "quarter_car"

@@ -26,8 +26,9 @@ from sim.runs.stops import stop_note
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
-from tests.support.analysed import energy, reasons_of, simulate
+from tests.support.analysed import energy, simulate
 from tests.support.commands import prose
+from tests.support.drives import reasons_of
 
 BUMP = Bump()
 UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "

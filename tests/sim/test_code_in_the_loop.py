@@ -22,7 +22,7 @@ from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
-from sim.runs.code_effect import code_notes
+from sim.runs.report import code_notes
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
@@ -33,8 +33,8 @@ from synth.controller.export.compiled import ExportedCode
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
-from tests.support.analysed import reasons_of
 from tests.support.commands import attacks, prose
+from tests.support.drives import reasons_of
 
 STEP = 1e-3
 WIDE = "[limits]\nactuator_force = 50000.0\n"  # never reached
@@ -256,13 +256,13 @@ def test_the_section_of_a_report(folders):
     assert isinstance(own, Controller)
     scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, driver))
     assert (EXPORTED, "") in pieces_of(scope)
-    section, (finding,) = exported_section(scope)
+    section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
     assert facts["folder"] == str(folder)
     assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
     assert facts["format"] == "C99 in float, law_step every 5 ms"
     assert changes["control force"] == "N"
-    assert finding.state == "holds"
+    assert section.state == "holds"
 
 
 def test_no_folder_of_a_gallery(tmp_path):

@@ -19,8 +19,6 @@ from sim.physics.simulate import PhysicsRuns
 from sim.response.response import Response
 from sim.runs import prediction
 from sim.runs.prediction import Prediction
-from sim.runs.report import reasons
-from sim.runs.run import Run
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, SampledClosedLoop
 
@@ -67,8 +65,3 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 
 def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
     return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
-
-
-def reasons_of(run: Run) -> list[str]:
-    """Returns the sentences on a run: its events, its checks, its distance from linear analysis, and its energy balance."""
-    return [one.text for one in reasons(run)]

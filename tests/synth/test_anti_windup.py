@@ -19,8 +19,8 @@ from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisati
 from sim.runs.report import controller_notes, controller_object
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
-from tests.support.analysed import reasons_of
 from tests.support.commands import attacks, refused
+from tests.support.drives import reasons_of
 from tests.support.shared import designed, printed
 
 HUB = 'measured = ["unsprung_acceleration", "control_force"]\norder = "full"\n'

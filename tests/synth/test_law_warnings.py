@@ -20,8 +20,8 @@ from synth.controller.disk_margin import disk_margin
 from synth.controller.law_margins import law_margins
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import gain_crossings
-from tests.support.analysed import reasons_of
 from tests.support.commands import main_of, prose, refused
+from tests.support.drives import reasons_of
 from tests.synth.test_windup import FAST, SLOW, limited, section, semi_active
 
 CORNER = """type = "quarter_car"
