@@ -107,27 +107,6 @@ def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
     return (*verdicts(runs, f"Over {where}, "), *(replace(one, detail="full") for one in shared(said)))
 
 
-def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section on the road of the report: its signals over time, and its metrics, measured when."""
-    drawn = history_figure(runs, scope.road_name), suspension_figure(scope, runs, f"over {scope.road_name}")
-    figures = tuple(one for one in drawn if one is not None)
-    pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
-    columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
-        Field("metric", lambda of: of[1].replace("_", " ")),
-        METRIC[0].of(lambda of: of[2]),
-        Field("controller", lambda of: of[0].controller.name),
-        *(column.of(lambda of: of[2]) for column in METRIC[1:]),
-    )
-    caption = "Every metric in MuJoCo; below, and in the file, in the sampled response, and the mean over all such roads."
-    table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
-    about = f"The runs take {scope.duration:g} s at {1e3 * scope.timestep:g} ms; metrics are measured {when}."
-    about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
-    about = f"{scope.road.words}. {about.removesuffix('.')}."
-    return Document(
-        "Response to the road", (*notes(f"{about[0].upper()}{about[1:]}"), *run_statements(runs, scope.where), *figures, table)
-    )
-
-
 def _linear_until(run: Run) -> float:
     """Returns the time of the first event that ends the linear regime [s]; infinite without one."""
     return min(run.agreement.until, *run.agreement.ended.values())

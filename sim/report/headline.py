@@ -1,11 +1,10 @@
 """Statements of a report's answer that no study makes itself: on its loops and their norms, and on claimed heights."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from models.common.printed import as_name
 from models.document.document import Statement
-from sim.report.scope import Scope, at_most, joined, names_text, percents
+from sim.report.scope import Scope, at_most, joined, names_text
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
@@ -41,23 +40,20 @@ def loops(scope: Scope) -> list[Statement]:
 
 def norms(scope: Scope) -> list[Statement]:
     """Returns a statement on the H-infinity norms of the ideal and of the implemented loop."""
-    values = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
-    if not values:
+    ideal = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    if not ideal:
         return []
-    least = min(values, key=lambda name: values[name])
-    passive = scope.designer.design("passive").certificate.norm.value
-    each = ", ".join(f"{as_name(name)} {value:.4g}" for name, value in values.items())
-    text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {each}."
-    if ahead := [one.name for one in scope.controllers if one.preview is not None and one.name in values]:
+    text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {_listed(ideal)}."
+    if ahead := [one.name for one in scope.controllers if one.preview is not None and one.name in ideal]:
         text += f" That of {names_text(ahead)} is of the feedback alone, without the road ahead."
-    if least != "passive" and math.isfinite(passive):
-        share = values[least] / passive - 1
-        change = f"{percents(share)} % {'below' if share < 0 else 'above'}"
-        text += f" The least is that of {as_name(least)}, {change} the passive suspension's."
     if scope.built_norms:
-        built = ", ".join(f"{as_name(name)} {value.value:.4g}" for name, value in scope.built_norms.items())
+        built = _listed({name: norm.value for name, norm in scope.built_norms.items()})
         text += f" As built{scope.noise_qualifier}, at a step of {1e3 * scope.timestep:g} ms: {built}."
     return [Statement(text, "holds")]
+
+
+def _listed(norms: Mapping[str, float]) -> str:
+    return ", ".join(f"{as_name(name)} {value:.4g}" for name, value in norms.items())
 
 
 def left_out(scope: Scope) -> list[Statement]:

@@ -60,7 +60,6 @@ LOST = "beyond its equations"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
 NUMBERS = re.compile(r"(until|at) ([\d.e+-]+) s\b")
-MOST_FLIGHTS = 4  # flights of a run that are listed one by one
 
 ENERGY: tuple[Field[Energy], ...] = (
     *(Field(name, attrgetter(name), "{:.5g}".format, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
@@ -317,7 +316,8 @@ def _events(run: RunResult) -> Iterator[str]:
         yield f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=run.diverged)}"
     elif math.isfinite(run.diverged):
         yield f"diverged: MuJoCo was stopped at {WHEN.text(run.diverged)}"
-    yield from _flights(agreement.lift_off)
+    if agreement.lift_off:
+        yield _flights(agreement.lift_off)
     if (half := run.half_step) is not None:
         known = math.isfinite(half.difference)
         change = f"{half.signal} changes by {DIFFERENCE.digits(half.difference)} of its peak" if known else "the run diverges"
@@ -345,13 +345,11 @@ def _events(run: RunResult) -> Iterator[str]:
         yield f"{LOST}: from {WHEN.text(agreement.until)} on, {NO_STATE}; no later step is compared"
 
 
-def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
-    """Returns the times at which tyres are off the ground, or, if they are many, their number and the longest."""
-    spans = [f"from {WHEN.text(start)} to {WHEN.text(end)} ({LENGTH.text(end - start)})" for start, end in lift_off]
-    if len(lift_off) > MOST_FLIGHTS:
-        longest = LENGTH.text(max(end - start for start, end in lift_off))
-        return [f"lift-off: a tyre leaves the road {len(lift_off)} times, first {spans[0]}; the longest takes {longest}"]
-    return [f"lift-off: a tyre is off the ground {span}" for span in spans]
+def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
+    """Returns how often tyres leave the ground, the first such interval, and the longest time."""
+    (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
+    often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
+    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest takes {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:

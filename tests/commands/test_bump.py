@@ -261,14 +261,10 @@ def test_negative_numbers_are_no_options(capsys):
 
 @pytest.mark.parametrize("controller", ["I_printed", "passive"])
 def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
-    """It is said, and within a factor of three is what physics at an eighth of the step makes of it, the force held as long."""
+    """The change at half the step is within a factor of three of what physics at an eighth of the step makes of it."""
     arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"][0]["half_step"]
-    assert main([*arguments, "-v"]) == 0
-    out = prose(capsys.readouterr().out)
-    assert f"{found['difference']:.1e} of" in out
-
     vehicle = read_vehicle("quarter_car")
     held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=1e-3))
     designed, road = Designer(vehicle).design(controller), Bump(height=0.1, length=1.0)

@@ -75,20 +75,6 @@ def real() -> PageRead:
     return PageRead(done.folder / "report.html", done.json)
 
 
-def test_the_first_screen_answers(plain):
-    """Who is best at what, and by how much against passive, is what the table says, in words and in bars."""
-    rows = {row["controller"]: row for row in plain.tables["compared"]}
-    for heading, verb in (("ride [m/s²]", "rides best"), ("dynamic load [-]", "holds the road best")):
-        less = f"{heading.split(' [')[0].replace('dynamic', 'tyre')}, %"
-        changes = {name: f" {row[less].replace('-', '−')} %" if row[less] != "-" else "" for name, row in rows.items()}
-        bars = [f"{name}: {row[heading].rstrip('*')}{changes[name]}{' ★' * ('*' in row[heading])}" for name, row in rows.items()]
-        assert f"{'. '.join(bars)}." in plain.text
-        for name in [name for name, row in rows.items() if row[heading].endswith("*")]:
-            (said,) = [said for said in plain.lead if said.startswith((f"{name} ", f"{name},"))]
-            assert f"{verb} ({rows[name][heading].rstrip('*')}" in said
-    assert plain.headline.startswith("I rides best, ")
-
-
 @pytest.mark.attack
 def test_dive_is_what_a_drive_says(tmp_path, capsys):
     """The dive of a car under 0.5 g stands on the first screen, as `sim.drive` measures it."""
