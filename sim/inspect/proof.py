@@ -20,7 +20,7 @@ from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, claims, half_step_object, reasons, run_object
+from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, ONE_SIDED
 from synth.analysis.record import false_claims
@@ -120,8 +120,8 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
         if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
             findings.append(Finding("goals", NOTE, GOALS.format(goals=", ".join(entry.goals.record))))
     else:
-        text = f"{NO_CLAIM.format(kind=controller.kind)}; {NOT_RUN}" if isinstance(controller, Programmed) else ""
-        findings.append(Finding("certificate", NOTE, text or NO_CLAIM_OF_SWITCHING))
+        replayed = f"; {NOT_RUN}" if isinstance(controller, Programmed) else ""
+        findings.append(Finding("certificate", NOTE, f"{claims(controller)}{replayed}"))
     try:
         again, physics = replay(log, recorded, own, controller)
     except WRONG as error:

@@ -17,7 +17,6 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import (
@@ -54,8 +53,6 @@ from synth.controller.report import (
 )
 from synth.controller.report import notes as controller_remarks
 
-NO_CLAIM = "no linear claim: {kind}"
-NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets semi-active dampers"
 LOST = "beyond its equations"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
@@ -171,8 +168,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
     if not isinstance(controller, Controller):
         forced = ["sampled and continuous are the linear responses to the forces that the law requested"]
-        without = isinstance(controller, SemiActive) or vehicle.dampers
-        return [controller.text, claims(controller), *([] if without else forced)]
+        return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
     return [
@@ -190,10 +186,8 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 
 def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller, or the reason for which it has none."""
-    if isinstance(controller, SemiActive):
-        return NO_CLAIM_OF_SWITCHING
     if not isinstance(controller, Controller):
-        return NO_CLAIM.format(kind=controller.kind)
+        return f"no linear claim: {controller.kind}"
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
@@ -468,8 +462,9 @@ def signal_table(run: RunResult, passive: RunResult | Reference | None) -> Table
             change = CHANGE.digits(float(getattr(run.physics, kind)(name)) / before - 1) if before else "-"
             label = f"{name} [{run.vehicle.kind.signal(name).unit}]" if kind == "peak" else ""
             rows.append((label, kind, *numbers, *apart, change))
-    headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "to cont.", "passive %")
-    return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, tuple(rows))
+    headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "to cont.", "passive %")[: 8 if passive else 7]
+    shown = tuple(row[: len(headings)] for row in rows)
+    return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, shown)
 
 
 def _damper_notes(run: RunResult) -> list[Statement]:

@@ -53,8 +53,8 @@ class Run(RunResult, Shown):
         from sim.runs.time_histories import history_panels
 
         table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
-        drawn = [notebook_figure(panel) for panel in history_panels([self], look)[:1]]
-        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(drawn)
+        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
+        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
