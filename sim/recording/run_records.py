@@ -291,8 +291,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
-    claims |= named
-    return claims, files
+    return claims | named, files
 
 
 def run_log(run: Run, name: RunName) -> RunLog:

@@ -21,12 +21,11 @@ from sim.physics import sensor_readout
 from sim.physics.computer import Computer
 from sim.physics.driver import RunDriver
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.runs.report import verdict
+from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
 from tests.support.commands import attacks
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text
-from tests.support.drives import reasons_of
 from tests.support.faults import Fault, built_with, miswritten, places, scaled
 from tests.support.pairs import CORNERS, VELOCITIES
 
@@ -79,7 +78,7 @@ def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run
     vars(in_python)["measured"] = measured
     driver = of_function(in_python, vehicle.linear_model.measurable) if law == "python" else driver_of(vehicle, law or usual)
     (run,) = run_controllers(vehicle, [driver], road, sample_times(vehicle, 0.4, 1e-3))
-    assert run.passed, reasons_of(run)
+    assert run.passed, reasons(run)
     return run
 
 
@@ -164,7 +163,8 @@ def test_sensors_that_are_wrong_at_large_motions_alone_are_found(signal):
     apart = np.abs(run.physics[steps.signal] - clean.physics[steps.signal])
     assert steps.since == run.physics.time[(apart > steps.allowed * run.physics.scale(steps.signal)).argmax()]
     assert verdict(run).text.startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on (heave_acceleration)")
-    assert any(line.startswith(f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step") for line in reasons_of(run))
+    said = f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step"
+    assert any(line.text.startswith(said) for line in reasons(run))
 
 
 def late(values: np.ndarray) -> np.ndarray:

@@ -30,13 +30,12 @@ from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.response.regime import LIFT_OFF
 from sim.response.response import Response
-from sim.runs.report import LOST, NO_STATE, verdict
+from sim.runs.report import LOST, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
 from tests.support.commands import attacks, in_the_suite, once, prose, refused
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE, with_curves
-from tests.support.drives import reasons_of
 from tests.support.shared import designed
 
 BAR = "[parameters]\nanti_roll_stiffness_front = 2e4"
@@ -128,7 +127,7 @@ def test_what_no_step_confirms_is_not_compared():
     shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
     assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
     assert f"until {agreement.until:.4g} s ({LOST})" in verdict(run).text
-    assert any(NO_STATE in line for line in reasons_of(run))
+    assert any(NO_STATE in line.text for line in reasons(run))
 
 
 def test_a_flat_road_has_no_roughness(capsys):

@@ -20,7 +20,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.inspect.__main__ import main as inspect
 from sim.response.regime import reached
-from sim.runs.report import run_object, verdict
+from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note
 from sim.studies.ride.expected import expect
@@ -28,7 +28,6 @@ from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
 from tests.support.analysed import energy, simulate
 from tests.support.commands import prose
-from tests.support.drives import reasons_of
 
 BUMP = Bump()
 UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
@@ -113,7 +112,7 @@ def test_each_stop_is_named_with_squeeze_force_and_time():
     """Both stops of a car are named with what MuJoCo does there: its body's equation leaves over the same force."""
     run, made, lines = driven(parse_vehicle(CAR % "0.06"))
     assert lines == "stops: bump 1.18 mm, 118 N at 0.169 s; rebound 17.7 mm, 1773 N at 0.381 s"
-    assert lines == reasons_of(run)[0]
+    assert lines == reasons(run)[0].text
     assert "linear analysis applies until 0.157 s (bump stop)" in verdict(run).text
     of = {signal.name: run.physics[signal.name] for signal in run.physics.signals}
     up = 420 * of["sprung_acceleration"] + 22e3 * of["suspension_deflection"]
@@ -141,7 +140,7 @@ def test_a_side_that_is_left_out_has_no_stop():
     run, made, lines = driven(parse_vehicle(CAR % "{ rebound = 0.06 }"))
     assert lines.startswith("stops: rebound ")
     assert "(rebound stop)" in verdict(run).text
-    assert reasons_of(run)[1].startswith("rebound stop: a suspension is first at the end of its stroke at ")
+    assert reasons(run)[1].text.startswith("rebound stop: a suspension is first at the end of its stroke at ")
     assert "bump" not in made["stops"]["suspension_deflection"]
 
 

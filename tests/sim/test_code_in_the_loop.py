@@ -22,7 +22,7 @@ from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
-from sim.runs.report import code_notes
+from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
@@ -34,7 +34,6 @@ from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
 from tests.support.commands import attacks, prose
-from tests.support.drives import reasons_of
 
 STEP = 1e-3
 WIDE = "[limits]\nactuator_force = 50000.0\n"  # never reached
@@ -122,7 +121,7 @@ def test_code_of_another_law_does_not_agree(numbers):
     code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
     (run,) = run_controllers(vehicle, [dataclasses.replace(law, code=code)], on.road, on.time)
     assert not run.passed
-    assert "DOES NOT AGREE: the code moves" in prose(" ".join(reasons_of(run)))
+    assert "DOES NOT AGREE: the code moves" in prose(" ".join([one.text for one in reasons(run)]))
 
 
 @needs_cc
@@ -133,7 +132,7 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "leaves its range on this road and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *reasons_of(run)]))
+        assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *(one.text for one in reasons(run))]))
 
 
 @pytest.fixture(scope="module")

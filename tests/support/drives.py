@@ -3,8 +3,6 @@
 import pytest
 
 from sim import bump, drive, envelope, margins, sweep
-from sim.runs.report import reasons
-from sim.runs.run import Run
 
 MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", "0.002"]
 
@@ -19,8 +17,3 @@ EVERY_DRIVE = pytest.mark.parametrize(
     ],
     ids=["bump", "drive", "envelope", "sweep", "margins"],
 )
-
-
-def reasons_of(run: Run) -> list[str]:
-    """Returns the sentences on a run: its events, its checks, its distance from linear analysis, and its energy balance."""
-    return [one.text for one in reasons(run)]

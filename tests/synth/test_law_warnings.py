@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
-from sim.runs.report import verdict
+from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers
 from synth.__main__ import main as synth
@@ -21,7 +21,6 @@ from synth.controller.law_margins import law_margins
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import gain_crossings
 from tests.support.commands import main_of, prose, refused
-from tests.support.drives import reasons_of
 from tests.synth.test_windup import FAST, SLOW, limited, section, semi_active
 
 CORNER = """type = "quarter_car"
@@ -208,7 +207,7 @@ def test_an_overflow_is_not_blamed_on_the_physics():
     off = replace(run, energy=replace(run.energy, residual=1.0))
     late = replace(off, agreement=replace(off.agreement, steps=replace(steps, error=1.0)))
     for one in (off, late):
-        said = " ".join([verdict(one).text, *reasons_of(one)])
+        said = " ".join([verdict(one).text, *(one.text for one in reasons(one))])
         assert verdict(one).text.startswith(f"LAW OVERFLOW at {run.diverged:.4g} s: ")
         assert "DOES NOT" not in said
         assert "the vehicle does not have" not in said

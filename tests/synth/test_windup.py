@@ -14,7 +14,7 @@ from sim.campaign.__main__ import main as campaign
 from sim.physics.energy import BALANCED
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.simulate import MonitoredBatch
-from sim.runs.report import controller_notes, controller_object, events, verdict
+from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.run_metrics import measure_run, metric_lines
 from sim.studies.validity.regime_map import validity
@@ -122,7 +122,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.all(np.isfinite(before.values))
     assert np.abs(before["controller_1"][-1]) > 1e300
     found = measure_run(run, first=100)
-    text = "\n".join([*reasons_of(run), verdict(run).text, *metric_lines(run, found, 0.1, 0.6, ())])
+    text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metric_lines(run, found, 0.1, 0.6, ())])
     assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
     assert f"no metrics of this run: law overflow at {when:.4g} s" in text
     assert "diverge" not in text
@@ -199,5 +199,5 @@ def test_random_unstable_laws(seed):
     vehicle = parse_vehicle(text, source="mine")
     controllers = design(vehicle, ["mine"])
     (run,) = run_controllers(vehicle, controllers, BUMP, sample_times(vehicle, 1.0, 1e-3))
-    assert run.passed, "\n".join(reasons_of(run))
+    assert run.passed, reasons(run)
     assert run.broke_off is None or run.broke_off[0] == "law overflow"
