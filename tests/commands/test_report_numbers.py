@@ -20,7 +20,6 @@ from sim.report.__main__ import main as report
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
 from sim.runs.report import energy_table, verdict
 from sim.runs.run import run_controllers, sample_times
-from synth.__main__ import main as synth
 from tests.commands.test_report import QUICK
 from tests.support import shared
 from tests.support.commands import attacks
@@ -272,6 +271,18 @@ def test_ride_is_what_drive_says(paper, designer, capsys):
             metric
         )  # 4 digits
         assert float(row[5]) == pytest.approx(found[0]["expected"], rel=1e-3), metric
+
+
+@pytest.mark.attack
+def test_a_norm_as_built(tmp_path, plain):
+    """The norm as built is reached by a road, and is not below what no controller can beat."""
+    file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\ndelay = 1\n")
+    read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "I", step=COARSE)
+    row = read.row("norms", controller="I")
+    assert row["norm, as built"] == row["reached by a road"]
+    assert float(row["norm, as built"]) > float(read.row("designs", controller="I")["lower bound"])
+    assert read.row("norms", controller="passive")["that is"] == "equal to"
+    assert "norms" not in plain.tables
 
 
 def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
