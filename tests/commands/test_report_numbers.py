@@ -24,7 +24,7 @@ from tests.commands.test_report import QUICK
 from tests.support import shared
 from tests.support.commands import attacks
 from tests.support.pages import site
-from tests.support.reading import PageRead, number, read_report
+from tests.support.reading import PageRead, read_report
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
