@@ -431,7 +431,8 @@ def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -
         passive: run of the passive vehicle, with which the signals are compared.
     """
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
-    warning = law_margins(run.vehicle, controller).warning if isinstance(controller, Controller) else ""
+    margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
+    warning = (margins.instability or margins.small) if margins is not None else ""
     first = [claims(controller), *filter(None, [warning]), *code_notes(code, run.vehicle)]
     others = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
     ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"

@@ -21,8 +21,6 @@ from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import describe
 from synth import design_controllers as design
 from synth.command.table import Row, details, row_object
-from tests.support.analysed import reasons_of
-from tests.support.analysed import reasons_of
 
 BUMP = Bump(height=0.02, length=4.0, speed=12.0)
 SLOW, FAST = 30.0, 1500.0  # 1/s: beyond 1e10 N within a second, and beyond all numbers within half of it
