@@ -191,7 +191,7 @@ def claims(controller: AnyController) -> str:
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
-    where = f" at {PEAK.cell(certificate)} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
+    where = f" at {PEAK.text(certificate.norm.peak_frequency)}" if math.isfinite(certificate.norm.peak_frequency) else ""
     bound = f", bound {BOUND.cell(certificate)}" if certificate.bound is not None else ""
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
 
