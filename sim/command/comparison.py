@@ -3,7 +3,7 @@
 import argparse
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,22 +11,15 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.printed import Whole, pasted_path, wrapped
+from models.common.printed import Whole, pasted_path
+from models.document.document import Document, notes
+from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import FLAT, LAW_OVERFLOW, REGIME_ENDS, reached
-from sim.runs.code_effect import code_line, code_table
-from sim.runs.report import (
-    FEW,
-    claims,
-    controller_lines,
-    energy_lines,
-    joined_names,
-    run_lines,
-    verdict_lines,
-)
+from sim.response.regime import FLAT, REGIME_ENDS, reached
+from sim.runs.report import FEW, describe_run, shared
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
@@ -236,57 +229,23 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
 
 
-def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str]:
-    """Returns a line on each controller's claims, warnings, and the sentences on a run that fails, or is unstable and alone.
-
-    Claims of more than `FEW` controllers are left to `-v`.
+def run_lines(runs: Sequence[Run], passive: Run | Reference | None = None) -> list[str]:
+    """Returns the lines on runs above the table: claims and warnings of few controllers, and why a run fails or diverges.
 
     Args:
-        variants: names of the runs that leave a part of the vehicle out, of whose controllers other runs have the warnings.
+        passive: run of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
     """
-    without, few = dict[str, list[str]](), len(runs) <= FEW
-    linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
-    margins = {name: law_margins(*one) for name, one in linear.items() if name not in variants}
-    lines = [] if few else [part for text in warnings(margins) for part in wrapped(text.replace("`", ""), hang=4)]
-    for run in runs:
-        claim = claims(run.controller) if few else ""
-        if not few or run.controller.name in variants:
-            pass
-        elif not isinstance(run.controller, Controller):
-            without.setdefault(claim, []).append(run.controller.name)
-        else:
-            lines += wrapped(claim, f"{run.controller.name}: ", 4)
-            lines += [text.replace("`", "") for text in warnings({run.controller.name: margins[run.controller.name]})]
-        if code := code_line(run.prediction.code_effect, run.vehicle):
-            lines += wrapped(code, f"{run.controller.name}: ", 4)
-        alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
-        if alone or not run.passed:
-            lines += [f"{run.controller.name}:"] * (len(runs) > 1)
-            said = [*verdict_lines(run), *energy_lines(run)]
-            lines += [f"  {line}" for line in said if not run.physics.ran_away or line.startswith(LAW_OVERFLOW)]
-    lines += [line for why, names in without.items() if names for line in wrapped(f"{joined_names(names)}: {why}", hang=4)]
-    lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
-    return ["", *lines] if lines else []
-
-
-def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str]:
-    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` prints them with each run.
-
-    Args:
-        full: True with `-v`.
-        later: True if the table above begins later than the runs.
-    """
-    if full or not any(run.vehicle.limits.stopped for run in runs):
-        return []
-    from sim.runs import stops
-
-    return stops.stop_lines(runs, FEW, "stops in all of the run" if later else "stops")
-
-
-def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:
-    """Returns the note below the table of standings; it mentions `-v` if the claims of no controller are printed above."""
-    short = len(runs) > FEW and not (options.verbose or options.brief)
-    return f"{about}; -v: norms, signals" if short else about
+    if passive is not None:
+        documents = [describe_run(run, None if run is passive else passive) for run in runs]
+        return [line for one in documents for line in ["", *text_lines(one, "full")]]
+    few = len(runs) <= FEW
+    said = [(run.controller.name, one) for run in runs for one in describe_run(run).statements if one.detail == "normal"]
+    lines = text_lines(Document("", shared(each for each in said if few or each[1].state == "fails")))
+    if not few:
+        linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
+        margins = {name: law_margins(*one) for name, one in linear.items()}
+        lines = [*text_lines(Document("", notes(*warnings(margins)))), *lines]
+    return ["", *lines, *(["-v adds gains, every signal and how the verdict is reached"] if few else [])] if lines else []
 
 
 def standings_of(
@@ -328,17 +287,3 @@ def standings_of(
         strokes = {} if one.values[TRAVEL] is None else strokes_used(runs[0].vehicle, response, first, end)
         standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
     return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
-
-
-def compared_lines(run: Run, passive: Run | Reference) -> list[str]:
-    """Returns the lines of a run: its controller, its table beside the passive vehicle unless it is that, and its verdict."""
-    code = run.prediction.code_effect
-    return [
-        *controller_lines(run.vehicle, run.controller),
-        *(f"  {line}" for line in filter(None, [code_line(code, run.vehicle)])),
-        "",
-        *run_lines(run, None if run is passive else passive),
-        *code_table(code, run.vehicle),
-        "",
-        *(f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]),
-    ]

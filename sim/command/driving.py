@@ -12,13 +12,15 @@ from models.common.arrays import Array
 from models.common.command import chosen_of, complain
 from models.common.errors import InputError
 from models.common.printed import say, titled
+from models.document.document import Document, Statement
 from models.document.outputs import check_outputs, written, written_lines
+from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines, gaps, starts_later
-from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
+from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
 from sim.runs.run import Reference, Run, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
 from synth.controller.controller import Controller
@@ -60,11 +62,6 @@ class Driven:
     def shown(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
         return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in self._pairs]
-
-    @property
-    def variants(self) -> list[str]:
-        """The names, in the answer, of the runs without a part."""
-        return [run.controller.name for run, part in zip(self.shown, self.without, strict=True) if part]
 
     @cached_property
     def passive(self) -> Run | Reference:
@@ -197,12 +194,11 @@ def drive(
             lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
         settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
         about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
-        several = len(driven) > 1
-        lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
-        part = interval is not None and (interval.start > 0 or interval.samples[1] is not None)
-        lines += comparison.stop_lines(shown, options.verbose or several, part)  # several have their travel in per cent
+        if len(shown) > FEW and not (options.verbose or options.brief):
+            about += "; -v: norms, signals"
+        lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
-        say([*lines, "", *summary_lines(shown, several)])
+        say([*lines, "", *text_lines(Document("", verdicts(shown)))])
     for one in logs:
         comparison.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
@@ -306,22 +302,23 @@ def _above(options: Namespace, driven: Sequence[Driven], interval: Interval | No
 
         lines += end_lines(road, options.duration)
         for each in driven:
-            lines += start_lines([run for run in each.shown if run.controller.name not in each.variants], starts_later(options))
+            lines += start_lines(each.shown[: len(each.built)], starts_later(options))
     if options.verbose:
         from sim.studies.ride.run_metrics import driven_roughness, metric_lines
 
         for each in driven:
             for run, own in zip(each.shown, each.metrics or [None] * len(each.shown), strict=True):
-                lines += ["", *comparison.compared_lines(run, each.passive)]
+                lines += comparison.run_lines([run], each.passive)
                 if interval is not None and own is not None:
                     rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
                     lines += ["", *metric_lines(run, own, interval.start, interval.end, rough)]
     elif not options.brief:
-        lines += comparison.short_lines(shown, [name for each in driven for name in each.variants])
+        lines += comparison.run_lines(shown)
         if interval is not None:
             from sim.studies.ride.run_metrics import angle_lines, broken_lines, expected_lines
 
-            lines += shared_lines([(run.controller.name, line) for run in shown for line in broken_lines(run)])
+            broken = [(run.controller.name, Statement(line)) for run in shown for line in broken_lines(run)]
+            lines += text_lines(Document("", shared(broken)))
             lines += angle_lines(shown, metrics)
             lines += expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
     return lines

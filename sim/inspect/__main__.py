@@ -36,9 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     from models.document.outputs import check_outputs
+    from models.document.text import text_lines
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
-    from sim.inspect.report import proof_lines, proof_object, short_line, write_signals
+    from sim.inspect.report import describe, proof_object, short_line, write_signals
 
     kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
     if kinds is not None and not kinds.is_dir():
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.csv is not None:
             write_signals(options.csv, proof)
         if alone or options.verbose:
-            lines += [*proof_lines(proof, options.verbose), *([] if alone else [""])]
+            lines += [*text_lines(describe(proof), "full" if options.verbose else "normal"), *([] if alone else [""])]
         else:
             lines += short_line(proof)
         if not options.json:

@@ -20,12 +20,19 @@ from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, energy_lines, half_step_object, run_object, verdict_lines
+from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, ONE_SIDED
 from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
-from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
+from synth.controller.report import (
+    LOWER_BOUND,
+    NORM,
+    failures_of_sampled_loop,
+    false_norm,
+    norm_if_implemented,
+    notes_on_sampled_loop,
+)
 
 PREDICTED = "rounding"  # of exported code, in results of earlier versions: it is measured now
 REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
@@ -113,8 +120,8 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
         if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
             findings.append(Finding("goals", NOTE, GOALS.format(goals=", ".join(entry.goals.record))))
     else:
-        text = f"{NO_CLAIM.format(kind=controller.kind)}; {NOT_RUN}" if isinstance(controller, Programmed) else ""
-        findings.append(Finding("certificate", NOTE, text or NO_CLAIM_OF_SWITCHING))
+        replayed = f"; {NOT_RUN}" if isinstance(controller, Programmed) else ""
+        findings.append(Finding("certificate", NOTE, f"{claims(controller)}{replayed}"))
     try:
         again, physics = replay(log, recorded, own, controller)
     except WRONG as error:
@@ -158,15 +165,13 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
         yield Finding("certificate", FAILS, text)
     if wrong:
         return
-    sampled = f", sampled norm {norm.value:.7g}" if norm is not None and norm.stable else ""
+    sampled = f", sampled norm {NORM.digits(norm.value)}" if norm is not None and norm.stable else ""
     if not certificate.stable:
         without = notes_on_sampled_loop(vehicle, certificate, norm)
         yield Finding("certificate", HOLDS, f"{(*without, certificate.stability.words)[0]}; as was claimed{sampled}")
         return
-    bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
-    below = f", lower bound {certificate.lower_bound:.7g}" if certificate.lower_bound is not None else ""
-    at = f" at {certificate.norm.peak_frequency:.5g} rad/s" if math.isfinite(certificate.norm.peak_frequency) else ""
-    yield Finding("certificate", HOLDS, f"stable, norm {certificate.norm.value:.7g}{at}{bound}{below}{sampled}")
+    below = f", lower bound {LOWER_BOUND.cell(certificate)}" if certificate.lower_bound is not None else ""
+    yield Finding("certificate", HOLDS, f"stable, {claims(controller)}{below}{sampled}")
 
 
 def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
@@ -205,7 +210,7 @@ def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
         for key, text in recorded.claims.items()
         if key not in OF_CERTIFICATE
     }
-    holds = [*verdict_lines(run), *energy_lines(run)]
+    holds = [one.text for one in reasons(run)]
     yield from _compared("claims", "the log", logged, now, "claims", holds)
 
 

@@ -1,4 +1,4 @@
-"""Result of an inspection: in lines for the terminal, as JSON, and the signals as a table."""
+"""Result of an inspection: as a document, as JSON, and the signals as a table."""
 
 import json
 from collections.abc import Sequence
@@ -9,14 +9,13 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import Whole, wrapped
+from models.document.document import Document, Statement, notes
 from sim.inspect.findings import HOLDS, Finding
-from sim.inspect.proof import Proof
+from sim.inspect.proof import Inspected, Proof
 from sim.inspect.replay import as_response, kept
 from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.runs.report import controller_object, run_object, verdict
 from sim.runs.signal_table import run_columns, write_columns
-from synth.controller.controller import Controller
-from synth.controller.report import law_lines, preview_lines
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
@@ -45,40 +44,40 @@ def proof_object(proof: Proof) -> dict[str, Any]:
     }
 
 
-def proof_lines(proof: Proof, full: bool = True) -> list[str]:
-    """Returns the result in lines for the terminal.
-
-    Args:
-        full: True for every finding in words, and versions and gains; else what holds is named in a line.
-    """
+def describe(proof: Proof) -> Document:
+    """Returns the result as a document: the log, the findings on it and on each run, and whether it proves its claims."""
     log, vehicle = proof.log, proof.vehicle
-    about = {"command": log.metadata.get("command_line"), "vehicle": vehicle.kind.name if vehicle else "unknown"}
-    if full:
-        about["from"] = log.metadata.get("vehicle", "a file of no name")
-        about["versions"] = ", ".join(f"{name} {version}" for name, version in log.versions.items())
-    lines = [Whole(log.path)]
-    for key, text in about.items():
-        lines += wrapped(text, f"  {key:10}", 12) if text else []
-    lines += _lines(proof.findings, full)
-    for one in proof.runs:
-        run, name = one.again, f"run {one.recorded.name}"
-        if run is None or not full:
-            lines += [*wrapped(f"{name}: {verdict(run)}" if run else name, hang=4), *_lines(one.findings, full)]
-            continue
-        time, controller = run.prediction.time, run.controller
-        lines += ["", f"{name}: {len(time)} samples to {time[-1]:.6g} s at {log.timestep:g} s"]
-        lines += wrapped(run.road.words, f"  {'road':10}", 12)
-        lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
-        if not isinstance(controller, Controller):
-            lines += wrapped(controller.text, f"  {'':10}", 12)
-        elif controller.measured:
-            lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
-            lines += preview_lines(controller, f"  {'':10}")
-        lines += _lines(one.findings, full)
-    fails = f"the log DOES NOT PROVE what it claims: {', '.join(proof.broken)}"
+    about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
+    versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
+    more = [f"vehicle file {log.metadata.get('vehicle', 'without a name')}", f"versions {versions}"]
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
     holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
-    return [*lines, *([] if full else ["-v has every finding in words"]), "", holds if proof.holds else fails]
+    answer = holds if proof.holds else f"the log DOES NOT PROVE what it claims: {', '.join(proof.broken)}"
+    first = (*notes(*filter(None, about)), *notes(*more, detail="full"), *_statements(proof.findings))
+    last = Document("", (Statement(answer, "holds" if proof.holds else "fails"),))
+    return Document(Whole(log.path), (*first, *map(_describe_run, proof.runs), last))
+
+
+def _describe_run(one: Inspected) -> Document:
+    """Returns a run of a log: its verdict, its samples, road and law, and the findings on it."""
+    run, title, about = one.again, f"run {one.recorded.name}", []
+    if run is not None:
+        time, controller = run.prediction.time, run.controller
+        title += f": {verdict(run).text}"
+        about.append(f"{len(time)} samples to {time[-1]:g} s at {run.prediction.timestep:g} s; {run.road.words}")
+        about.append(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}: {controller.text}")
+    return Document(title, (*notes(*about, detail="full"), *_statements(one.findings)))
+
+
+def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
+    """Returns findings as statements: the names of the parts that hold, and all others; as details, each that holds."""
+    held = [one for one in findings if one.verdict == HOLDS]
+    others = [one for one in findings if one.verdict != HOLDS]
+    return (
+        *notes(*[f"holds: {', '.join(dict.fromkeys(one.part for one in held))}"] * bool(held)),
+        *notes(*(f"{one.part}: {one.text}" for one in held), detail="full"),
+        *(Statement(f"{one.part} {one.verdict}: {one.text}", "note" if one.proved else "fails") for one in others),
+    )
 
 
 def short_line(proof: Proof) -> list[str]:
@@ -86,15 +85,6 @@ def short_line(proof: Proof) -> list[str]:
     if proof.holds:
         return [Whole(f"still proves    {proof.log.path}")]
     return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrapped(", ".join(proof.broken), "  ", 4)]
-
-
-def _lines(findings: Sequence[Finding], full: bool) -> list[str]:
-    """Findings in columns, or the names of those that hold in a line and the others in columns."""
-    if not full:
-        held = ", ".join(dict.fromkeys(one.part for one in findings if one.verdict == HOLDS))
-        others = [one for one in findings if one.verdict != HOLDS]
-        return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *_lines(others, full=True)]
-    return [line for one in findings for line in wrapped(f"{one.part}: {one.text}", f"  {one.verdict:8}", 12)]
 
 
 def write_signals(path: Path, proof: Proof) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.command import versions
+from models.document.text import markdown
 from models.kinds.signals import is_kept
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput, delays
@@ -24,7 +25,7 @@ from sim.physics.run_blocks import DIVERGED
 from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
-from sim.runs.report import controller_object, energy_object, events, half_step_object, summary, verdict
+from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
 from sim.runs.run import Run
 from synth.analysis.record import to_record
 from synth.controller.controller import Controller
@@ -290,8 +291,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }
-    claims |= named
-    return claims, files
+    return claims | named, files
 
 
 def run_log(run: Run, name: RunName) -> RunLog:
@@ -336,9 +336,9 @@ def run_log(run: Run, name: RunName) -> RunLog:
         responses={name: one for name, one in responses.items() if name == MUJOCO or not np.isnan(one.values).all()},
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
-        summary=summary(run),
+        summary=markdown(describe_run(run), 1),
         scene=scene_of(run.prediction.input, run.physics, run.qpos),
-        verdict=verdict(run),
+        verdict=verdict(run).text,
         files=files,
         acting={name: one for name, one in acting.items() if one is not None},
         diagrams=drawn,

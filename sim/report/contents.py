@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
-from sim.report.agreement import agreement_section, bump_section, road_section
+from sim.report.agreement import agreement_section, response_section
 from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, paper_section
 from sim.report.loads import loads_section
@@ -95,14 +95,11 @@ def report(
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
-        *report_answer.over_the_bump(scope, runs),
-        *report_answer.left_short(scope, runs),
         *report_answer.left_out(scope),
     ]
     sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
     sections += frequencies[:1]
-    driven = road_section(scope, runs, measured, when) if measured else bump_section(scope, runs, bump)
-    sections += [driven, agreement_section(scope, runs, finer)]
+    sections += [response_section(scope, runs, measured, when), agreement_section(scope, runs, finer)]
     if ends:
         wrong = report_answer.unclaimed(ends, runs)
         sections.append(describe_ends(vehicle, ends, wrong, bump, scope.where, f"{BUMP_DURATION:g} s at {1e3 * h:g} ms"))

@@ -18,7 +18,7 @@ from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.report.scope import Scope, names_text
 from sim.runs.forces import pushed
-from sim.runs.report import verdict_lines
+from sim.runs.report import reasons
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.metrics import DEGREES, angles_of
 from sim.studies.ride.run_metrics import METRIC, measure_run
@@ -66,7 +66,7 @@ def loads_section(scope: Scope) -> Document:
         f"body's weight at the height of its centre of mass; {_carried(vehicle)}Dive is nose down, squat nose up; of the loads "
         "controllers know what they measure."
     ]
-    text += [f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run)]
+    text += [f"{as_name(run.controller.name)}: {line.text}." for run in runs for line in reasons(run)]
     wrong = [run.controller.name for run in runs if not run.passed]
     findings = [Statement(f"Under the loads MuJoCo DOES NOT AGREE for {names_text(wrong)}.", "fails")] if wrong else []
     if not wrong:

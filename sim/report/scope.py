@@ -124,11 +124,6 @@ class Scope:
         return "".join(f", {one}" for one in words if one)
 
     @property
-    def analysis(self) -> str:
-        """Describes the analysis with which MuJoCo is compared."""
-        return "the analysis with its curves" if self.vehicle.is_curved else "linear analysis"
-
-    @property
     def is_nonlinear(self) -> bool:
         """Returns True if the sampled response does not tend to the linear continuous one: with curves or semi-active dampers."""
         return self.vehicle.is_curved or bool(self.vehicle.dampers)

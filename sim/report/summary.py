@@ -14,6 +14,7 @@ from sim.report.best import DIVE, headline, requirements_table
 from sim.report.headline import unclaimed
 from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
 from sim.report.scope import LEAST, Scope, percents
+from sim.runs.report import verdict
 from sim.runs.run import Run
 from sim.studies.ride.standing import LOAD, MEASURES, RIDE, TRAVEL, Standing, best, compared_columns, digits
 from sim.studies.validity.regime_end import RegimeEnd
@@ -88,7 +89,7 @@ def trust_section(
         Field(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
         Field("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
         Field(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
-        Field(f"over {scope.where}", lambda run: _verdict(scope, run)),
+        Field(f"over {scope.where}", lambda run: verdict(run).text),
     )
     caption = "Norm and prediction for each controller, MuJoCo's result, and the height of the bump up to which analysis is true."
     table = Table.of("summary", caption, columns, runs)
@@ -152,11 +153,3 @@ def _against(value: float, passive: float) -> str:
         return ""
     share = value / passive - 1
     return f" {'+' if share > 0 else '−'}{percents(share)} %" if abs(share) >= LEAST else ""
-
-
-def _verdict(scope: Scope, run: Run) -> str:
-    """Returns the verdict on a run in a few words."""
-    until, linear = run.agreement.until, run.prediction.is_linear
-    agrees = "agrees" if until == math.inf or not linear else f"agrees; linear until {until:.3g} s"
-    unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""
-    return f"{agrees if run.passed else 'DOES NOT AGREE'}{unstable}"

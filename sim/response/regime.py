@@ -56,7 +56,6 @@ class End:
 
     Attributes:
         name: name in tables, maps and JSON.
-        happens: the event in words.
         event: name of its first time among a log's events; empty if it is not logged.
         verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
         color: colour in a map, on a light background.
@@ -66,7 +65,6 @@ class End:
     """
 
     name: str
-    happens: str
     event: str
     verdict: str
     color: str
@@ -134,7 +132,6 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
 
 LIFT_OFF = End(
     "lift-off",
-    "a tyre leaves the road",
     "lift-off",
     "",
     "#7aa6d8",
@@ -143,7 +140,6 @@ LIFT_OFF = End(
 )
 BUMP_STOP = End(
     "bump stop",
-    "a suspension meets its bump stop",
     "bump stop",
     "bump stop: a suspension is first at the end of its stroke at {when:.4g} s",
     "#e8955a",
@@ -152,7 +148,6 @@ BUMP_STOP = End(
 )
 SATURATION = End(
     "force saturation",
-    "an actuator gives all its force",
     "actuator saturated",
     "saturation: an actuator first gives its largest force at {when:.4g} s",
     "#c9a3d9",
@@ -161,7 +156,6 @@ SATURATION = End(
 )
 FLAT = End(  # no model of the vehicle holds from there
     "flat tyre",
-    "a tyre is squeezed flat",
     "",
     "",
     "#555555",
@@ -170,7 +164,6 @@ FLAT = End(  # no model of the vehicle holds from there
 )
 CURVE = End(
     "curve",
-    "a damper or spring leaves the line of its curve at rest",
     "curve left",
     f"curve: a damper or spring first leaves its linearisation by {100 * LEAVES:g} % of its largest force at {{when:.4g}} s",
     "#a3b86c",
@@ -180,7 +173,6 @@ CURVE = End(
 )
 DAMPER = End(
     "damper",
-    "an adjustable damper does not give the force",
     "damper at its end",
     "damper: a semi-active damper first cannot give the requested force at {when:.4g} s",
     "#8fbf7f",

@@ -33,7 +33,7 @@ from sim.response.response import Response
 from sim.runs.code_effect import CodeEffect
 from sim.runs.commands import CommandAgreement, compare_commands
 from sim.runs.prediction import Prediction
-from sim.runs.steps import StepAgreement, compare_steps, from_steady, motion_of
+from sim.runs.steps import DIFFERENCE, WHEN, StepAgreement, compare_steps, from_steady, motion_of
 from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
@@ -102,18 +102,10 @@ class Agreement(Shown):
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns the verdict, and each signal's largest difference from the sampled response, as text."""
-        ended = {name: f"at {at:.4g} s" for name, at in self.ended.items() if math.isfinite(at)}
-        differences = {name: f"{signal.sampled:.1e} of its peak from linear analysis" for name, signal in self.signals.items()}
-        return f"agreement: {self.verdict}", ended | differences
-
-    @property
-    def verdict(self) -> str:
-        """The verdict on physics, and the time until which linear analysis applies, in words."""
-        when = f"until {self.until:.4g} s" if math.isfinite(self.until) else "throughout"
-        unknown = all(math.isnan(signal.sampled) for signal in self.signals.values())
-        applies = NO_REFERENCE if unknown else f"linear analysis applies {when}"
-        return f"agrees; {applies}" if self.agrees else "DOES NOT AGREE"
+        """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
+        ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
+        signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
+        return f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals
 
     @property
     def agrees(self) -> bool:

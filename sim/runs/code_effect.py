@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite, table
-from models.vehicle.vehicle import Vehicle
+from models.common.printed import finite
 from sim.response.response import Response
+from sim.runs.steps import DIFFERENCE
 from synth.controller.controller import AnyController, code_of
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
@@ -58,7 +58,7 @@ class CodeEffect:
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree"]
         if self.share > MOST:
             lines.append(
-                f"DOES NOT AGREE: the code moves {self.signal} by {self.share:.1e} of its peak, where {MOST:g} is allowed; "
+                f"DOES NOT AGREE: the code moves {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, allowed {MOST:g}; "
                 "export it in finer numbers, or with smaller ranges"
             )
         return lines
@@ -93,28 +93,3 @@ def code_object(effect: CodeEffect | None) -> dict[str, Any]:
         return {}
     apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
     return {"code_difference": apart}
-
-
-def code_line(effect: CodeEffect | None, vehicle: Vehicle) -> str:
-    """Returns a sentence on the exported code that drives a run and how far its run is from that of the law; empty without."""
-    if effect is None:
-        return ""
-    line = f"compiled code in {effect.numbers} drives it"
-    if effect.clipped:
-        return f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"
-    if not any(map(effect.peak, effect.apart)):
-        return f"{line}; its run equals that of the law bit for bit"
-    force = max(vehicle.linear_model.inputs, key=effect.peak)
-    return (
-        f"{line}; {force} differs from that of the law by {effect.peak(force):.2g} N at most and {effect.rms(force):.2g} N rms, "
-        f"and any signal by {effect.share:.1e} of its peak at most"
-    )
-
-
-def code_table(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
-    """Returns a table of the difference of every signal from the run with the law itself; empty without code."""
-    if effect is None:
-        return []
-    units = {name: vehicle.kind.signal(name).unit for name in effect.apart}
-    rows = [(f"{name} [{unit}]", f"{effect.peak(name):.2g}", f"{effect.rms(name):.2g}") for name, unit in units.items()]
-    return table([("code against law", "peak", "rms"), *rows])

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from models.common.printed import percent
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import bent_velocities, commands_of, squarable, stretching
@@ -60,17 +59,3 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 def dampers_object(vehicle: Vehicle, physics: Response) -> dict[str, Any]:
     """Returns the results of a run's adjustable dampers as a JSON object."""
     return {"shortfall": {name: asdict(one) for name, one in shortfalls(vehicle, physics).items()}}
-
-
-def damper_lines(vehicle: Vehicle, physics: Response) -> list[str]:
-    """Returns sentences on the force that adjustable dampers did not give; empty without such dampers."""
-    names, lines = {one.force: one.coefficient for one in vehicle.adjustable}, []
-    for force, one in shortfalls(vehicle, physics).items():
-        if one.late:
-            lines.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
-        if one.time:
-            lines.append(
-                f"{names[force]} is from {one.softest:.4g} to {one.hardest:.4g} N s/m; it cannot give {percent(one.rms)} (rms) "
-                f"of the requested force, at {percent(one.time)} of the samples"
-            )
-    return lines

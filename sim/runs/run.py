@@ -3,189 +3,58 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import Shown, cell, html_table
+from models.common.printed import Shown, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
-from sim.physics.energy import Energy, energy
+from sim.physics.energy import energy
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.response.regime import FLAT, broken_by
+from sim.response.regime import FLAT
 from sim.response.response import Response
-from sim.runs.agreement import SMALL, Agreement, compare, to_first_order
+from sim.runs.agreement import SMALL, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
+from sim.runs.report import signal_table, verdict
+from sim.runs.result import HalfStep, Reference, RunResult
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
-    from models.document.figure import Panel
     from sim.physics.driver import RunDriver
-
-
-POINTS = 1000  # points of a drawn curve, about
-
-
-class ShownRun(Shown):
-    """Notebook view of a run."""
-
-    prediction: Prediction
-    physics: Response
-    agreement: Agreement
-    energy: Energy | None
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns the verdict, and the vehicle, road and times as text."""
-        verdict = self.agreement.verdict
-        if self.energy is not None:
-            verdict += f"; energy {self.energy.verdict}"
-        time = self.physics.time
-        return f"run of {self.prediction.controller.name}: {verdict}", {
-            "vehicle": self.prediction.vehicle.kind.name,
-            "road": self.prediction.road.words,
-            "time": f"{time[-1]:g} s at {time[1]:g} s",
-        }
-
-    @property
-    def broke_off(self) -> tuple[str, float] | None:
-        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
-        first = min(ends, key=lambda name: ends[name])
-        return (first, ends[first]) if math.isfinite(ends[first]) else None
-
-    def _repr_html_(self) -> str:
-        from models.document.notebook import notebook_figure
-
-        return super()._repr_html_() + self._peaks() + notebook_figure(self._panel())
-
-    def _peaks(self) -> str:
-        """Returns the table of peaks: physics, sampled response, and the error that decides the verdict."""
-        physics, sampled = self.physics, self.prediction.sampled
-        kind = self.prediction.vehicle.kind
-        rows = [
-            (
-                f"{name} [{kind.signal(name).unit}]",
-                *(cell(float(response.peak(name)), ".6g") for response in (physics, sampled)),
-                cell(error.sampled, ".1e"),
-            )
-            for name, error in self.agreement.signals.items()
-        ]
-        return html_table("peaks", [("signal", "MuJoCo", "sampled", "error"), *rows])
-
-    def _panel(self) -> "Panel":
-        """Returns a plot of the signal with the largest weighted peak until the run broke off: MuJoCo red, sampled blue."""
-        from models.document.figure import Curve, Panel
-        from models.document.notebook import BLUE, RED
-
-        event, at = self.broke_off or ("", math.inf)
-        until = max(at, float(self.physics.time[2]))  # at least two samples
-        physics, sampled = self.physics.until(until), self.prediction.sampled.until(until)
-        weights = {name: weight for name, weight in self.prediction.vehicle.performance.items() if weight}
-        most = max(weights, key=lambda name: weights[name] * float(np.nan_to_num(sampled.peak(name), posinf=0.0)))
-        unit = next(signal.unit for signal in physics.signals if signal.name == most)
-        every = -(-len(physics.time) // POINTS)
-        curves = tuple(
-            Curve(
-                response.time[::every],
-                np.where(np.isfinite(response[most][::every]), response[most][::every], np.nan),
-                label=label,
-                color=color,
-                width=width,
-            )
-            for response, label, color, width in ((sampled, "sampled", BLUE, 3.0), (physics, "MuJoCo", RED, 1.2))
-        )
-        title = f"{self.prediction.controller.name}{f', until {event} at {at:.4g} s' if event else ''}:"
-        return Panel(title, "time [s]", f"{most.replace('_', ' ')} [{unit}]", curves)
-
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
 STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
 
 
-@dataclass(frozen=True)
-class HalfStep:
-    """Change of the physics by half the timestep, with the same sampling of the controller, after a tyre has left the road.
-
-    After a lift-off no linear response is exact, and RK4 steps over the moments at which a tyre leaves and lands.
-
-    Attributes:
-        difference: largest difference of any signal, over its peak; infinite if one of the two runs diverged.
-        signal: name of that signal.
-    """
-
-    difference: float
-    signal: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(ShownRun):
-    """Run of physics with its prediction.
-
-    Attributes:
-        prediction: linear analysis of this vehicle, controller and road.
-        physics: the response in MuJoCo.
-        agreement: physics against analysis.
-        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
-        energy: energy balance, or None for such a run.
-        half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
-            noisy or quantised, which differs at other steps.
-    """
-
-    prediction: Prediction
-    physics: Response
-    agreement: Agreement
-    qpos: Array | None = None
-    energy: Energy | None = None
-    half_step: HalfStep | None = None
+class Run(RunResult, Shown):
+    """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
 
     @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle, with the limits and implementation of this run."""
-        return self.prediction.vehicle
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns the verdict, and the vehicle, road and times as text."""
+        return f"run of {self.controller.name}: {verdict(self).text}", {
+            "vehicle": self.vehicle.kind.name,
+            "road": self.road.words,
+            "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
+        }
 
-    @property
-    def controller(self) -> AnyController:
-        """Returns the controller of the run."""
-        return self.prediction.controller
+    def _repr_html_(self) -> str:
+        from models.document.figure import Style
+        from models.document.notebook import BLUE, notebook_figure
+        from sim.runs.time_histories import history_panels
 
-    @property
-    def road(self) -> Road:
-        """The road."""
-        return self.prediction.road
-
-    @property
-    def sampled(self) -> Response:
-        """Exact linear response of the sampled loop."""
-        return self.prediction.sampled
-
-    @property
-    def continuous(self) -> Response:
-        """Exact linear response of the continuous closed loop."""
-        return self.prediction.continuous
-
-    @property
-    def diverged(self) -> float:
-        """Time at which the physics diverged [s]; infinite if it did not."""
-        return self.physics.diverged
-
-    @property
-    def agrees(self) -> bool:
-        """Returns True if physics agrees with its analysis, for as long as that applies."""
-        return self.agreement.agrees
-
-    @property
-    def passed(self) -> bool:
-        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
-        return self.agrees and (self.energy is None or not self.energy.fails)
+        table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
+        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
+        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -249,27 +118,6 @@ def run_controllers(
     predictions = [predicted(each, on, physics.requested_force[i]) for i, each in enumerate(controllers)]
     runs = compare_runs(predictions, physics)
     return with_energy_balance(runs, physics) if balanced else runs
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Run of a linear controller for comparison in tables, without a verdict.
-
-    Attributes:
-        physics: response in MuJoCo.
-        controller: the controller.
-        input: the vehicle and its road.
-    """
-
-    physics: Response
-    controller: Controller
-    input: RoadInput
-
-    @cached_property
-    @np.errstate(over="ignore", invalid="ignore")
-    def sampled(self) -> Response:
-        """The exact linear response of the sampled loop."""
-        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled
 
 
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:

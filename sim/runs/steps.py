@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+WHEN = Field[float]("time", float, ".4g", unit="s")
+DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
+ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,15 @@
 """Bump stops that a run reaches: compression, force and time of each."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from models.common.printed import finite, wrapped
+from models.document.field import Field, json_object
 from models.suspension.bump_stops import SIDES
 from sim.response.regime import AT, BUMP_STOP
-from sim.runs.run import Run
+from sim.runs.result import RunResult
+from sim.runs.steps import WHEN
 
 
 @dataclass(frozen=True)
@@ -27,13 +28,17 @@ class Touch:
     force: float
     time: float
 
-    @property
-    def words(self) -> str:
-        """Squeeze, force and time."""
-        return f"{_digits(1e3 * self.squeeze)} mm, {_digits(self.force)} N at {self.time:.4g} s"
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 99.95 else f"{value:.3g}"
 
 
-def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
+SQUEEZE = Field[Touch]("compression", lambda one: one.squeeze, _digits, 1e3, "squeeze", "mm")
+FORCE = Field[Touch]("force", lambda one: one.force, _digits, key="force", unit="N")
+TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s")
+
+
+def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
@@ -50,66 +55,31 @@ def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
     return contacts
 
 
-def stops_object(run: Run) -> dict[str, dict[str, dict[str, float | None] | None]]:
+def stops_object(run: RunResult) -> dict[str, dict[str, dict[str, Any] | None]]:
     """Returns the contacts as a JSON object: squeeze [m], force [N] and time [s] of every stop, or None if it is not reached."""
+    fields = (SQUEEZE, FORCE, TIME)
     return {
-        name: {
-            side: touch and {"squeeze": finite(touch.squeeze), "force": finite(touch.force), "time": finite(touch.time)}
-            for side, touch in sides.items()
-        }
+        name: {side: touch and json_object(fields, touch) for side, touch in sides.items()}
         for name, sides in touches(run).items()
     }
 
 
-def run_stop_lines(run: Run, what: str = "stops") -> list[str]:
-    """Returns a line on each suspension of a run that reaches a stop, which begins with what it is about."""
-    corners = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}
-    reached = {name: [touch for touch in sides.values() if touch is not None] for name, sides in touches(run).items()}
-    return [
-        f"{what}{f', {corners[name]}' if corners[name] else ''}: {'; '.join(f'{one.side} {one.words}' for one in some)}"
-        for name, some in reached.items()
-        if some
-    ]
+def stop_note(run: RunResult) -> str:
+    """Returns a sentence on the hardest contact of a run with the stops of each side; empty without a contact."""
+    corners, reached, words = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}, touches(run), []
+    for side in SIDES:
+        contacts = [(touch, corners[name]) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
+        if contacts:
+            one, corner = max(contacts, key=lambda contact: (contact[0].force, contact[0].squeeze))
+            where = f"{SQUEEZE.text(one.squeeze)}, {FORCE.text(one.force)} at {TIME.text(one.time)}"
+            words.append(f"{side} {corner}".rstrip() + f" {where}")
+    return f"stops: {'; '.join(words)}" if words else ""
 
 
-def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
-    """Returns lines on the stops that runs reach: of one run each suspension's, of a few the hardest contact of each side.
-
-    Args:
-        few: number of runs up to which each has a line; of more there is one line, on the hardest contact of all.
-        what: beginning of each line.
-    """
-    if len(runs) == 1:
-        return [line for words in run_stop_lines(runs[0], what) for line in wrapped(words, "  ", 4)]
-    contacts = [(run, touches(run)) for run in runs]
-    hardest = [(run.controller.name, side, one) for run, each in contacts for side in SIDES if (one := _hardest(run, each, side))]
-    if len(runs) > few and hardest:
-        name, side, (corner, touch) = max(hardest, key=lambda each: (each[2][1].force, each[2][1].squeeze))
-        some = len({name for name, *_ in hardest})
-        words = f"{what}, reached by {some} of {len(runs)}, hardest by {name}: {side}{corner} {touch.words}"
-        return wrapped(words, "  ", 4)
-    lines: list[str] = []
-    for run in runs:
-        said = [f"{side}{one[0]} {one[1].words}" for name, side, one in hardest if name == run.controller.name]
-        lines += wrapped(f"{what}, {run.controller.name}: {'; '.join(said)}", "  ", 4) if said else []
-    return lines
-
-
-def _hardest(run: Run, reached: Mapping[str, Mapping[str, Touch | None]], side: str) -> tuple[str, Touch] | None:
-    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact."""
-    corners = {part.deflection: f" {part.corner}" if part.corner else "" for part in run.vehicle.kind.suspensions}
-    contacts = [(corners[name], touch) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
-    return max(contacts, key=lambda one: (one[1].force, one[1].squeeze), default=None)
-
-
-def stop_names(run: Run, when: float) -> str:
+def stop_names(run: RunResult, when: float) -> str:
     """Returns the names of the stops at which suspensions are at a time [s]: bump stop, rebound stop, or both."""
     k = int(np.searchsorted(run.physics.time, when))
     at = [
         limit.sign for limit in BUMP_STOP.thresholds(run.vehicle) if limit.towards(limit.of(run.physics))[k] >= AT * limit.value
     ]
     return " and ".join(f"{side} stop" for side, sign in zip(SIDES, (-1.0, 1.0), strict=True) if sign in at) or BUMP_STOP.name
-
-
-def _digits(value: float) -> str:
-    return f"{value:.0f}" if value >= 99.95 else f"{value:.3g}"

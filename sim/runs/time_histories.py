@@ -1,7 +1,7 @@
 """Signals of runs over time, drawn: lines of analysis with MuJoCo's points, and MuJoCo's own lines where the two part."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from models.common.printed import as_name
 from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.response.response import Response
-from sim.runs.run import Run
+from sim.runs.result import RunResult
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
@@ -32,7 +32,7 @@ class _Trace:
         physics: MuJoCo's response until the run broke off.
     """
 
-    run: Run
+    run: RunResult
     name: str
     bounded: bool
     line: Response
@@ -101,27 +101,25 @@ def _marked(values: Array, every: int) -> Array:
 
 
 def history_panels(
-    runs: Sequence[Run],
+    runs: Sequence[RunResult],
     looks: Mapping[str, Style],
-    bounded: Callable[[Run], bool],
-    continuous: bool,
     during: tuple[float, float] | None = None,
 ) -> list[Panel]:
     """Returns a panel for each weighted signal that moves.
 
+    An unstable run, and one that broke off, does not widen the axis. Such a run is drawn until it leaves the axis, which the
+    title shows.
+
     Args:
         runs: runs over one road.
         looks: styles of the controllers, by name.
-        bounded: returns False for a run that is unphysical after the linear regime: an unstable loop, or one that broke off. Such
-            a run does not widen the axis, and is drawn until it leaves the axis, which the title shows.
-        continuous: True for lines of the continuous loop; else of the sampled one.
         during: stretch of time that is drawn [s]; None for all.
     """
     panels = []
     start, end = during or (0.0, _end(runs))
     every = max(1, round((end - start) / (POINTS * runs[0].prediction.timestep)))
     for name, signal in _weighed(runs).items():
-        traces = [_trace(run, name, bounded(run), continuous, start, end) for run in runs if _moves(run, name)]
+        traces = [_trace(run, name, start, end) for run in runs if _moves(run, name)]
         if not any(len(trace.values) for trace in traces):
             continue
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
@@ -143,19 +141,19 @@ def history_panels(
     return panels
 
 
-def _end(runs: Sequence[Run]) -> float:
+def _end(runs: Sequence[RunResult]) -> float:
     """Returns the end of the last run [s], where all broke off, or of the road."""
     whole = float(runs[0].prediction.time[-1])
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
 
-def _weighed(runs: Sequence[Run]) -> dict[str, Signal]:
+def _weighed(runs: Sequence[RunResult]) -> dict[str, Signal]:
     """Returns the signals that a vehicle of the runs weighs, by name."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
 
 
-def _moves(run: Run, name: str) -> bool:
+def _moves(run: RunResult, name: str) -> bool:
     """Returns False if a vehicle lacks a signal, or if it is silent: no control force, or no roll on a symmetric road."""
     if not any(signal.name == name for signal in run.physics.signals):
         return False
@@ -163,12 +161,11 @@ def _moves(run: Run, name: str) -> bool:
     return peak != 0 and not peak < run.physics.scale(name)
 
 
-def _trace(run: Run, name: str, bounded: bool, continuous: bool, start: float, end: float) -> _Trace:
+def _trace(run: RunResult, name: str, start: float, end: float) -> _Trace:
     """Returns what is drawn of one signal of one run between two times [s]."""
-    line = run.continuous if continuous else run.sampled
-    broken = run.broke_off[1] if run.broke_off is not None else math.inf
-    both = (line if bounded else line.until(run.agreement.until)), run.physics.until(broken)
-    return _Trace(run, name, bounded, *(_between(response, start, end) for response in both))
+    line = run.sampled if _bounded(run) else run.sampled.until(run.agreement.until)
+    physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
+    return _Trace(run, name, _bounded(run), *(_between(response, start, end) for response in (line, physics)))
 
 
 def _between(response: Response, start: float, end: float) -> Response:
@@ -182,26 +179,7 @@ def _swings(values: Array) -> int:
     return int(np.count_nonzero(np.diff(values > values.mean()))) if len(values) else 0
 
 
-def columns_of(panels: Sequence[Panel]) -> int:
-    """Returns the number of columns that they are drawn in."""
-    return min(len(panels), 2 if len(panels) <= 4 else 3)
-
-
-def lines_text(panels: Sequence[Panel], line: str, bounded: bool) -> str:
-    """Returns what lines and markers are, in words.
-
-    Args:
-        line: linear response that the lines are.
-        bounded: True if all runs are.
-    """
-    if not any(curve.filled for panel in panels for curve in panel.curves):
-        return f"Lines: {line}. Markers: MuJoCo"
-    ended = "and MuJoCo once the linear regime has ended (full markers); thin: how that response goes on"
-    ended += "" if bounded else ", if the loop is stable and the run does not break off"
-    return f"Lines: {line}, {ended}. Markers: MuJoCo"
-
-
-def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
+def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
 
     The panels of a long run, with lines too dense to distinguish, have those of its hardest stretch next to them.
@@ -210,12 +188,12 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
         where: the road in words, after "over".
     """
     looks = styles(tuple(run.controller.name for run in runs))
-    panels = history_panels(runs, looks, _bounded, continuous=False)
+    panels = history_panels(runs, looks)
     if not panels:
         return None
-    columns, note = columns_of(panels), ""
+    columns, note = min(len(panels), 2 if len(panels) <= 4 else 3), ""
     if (during := _hardest_stretch(runs)) is not None:
-        near = history_panels(runs, looks, _bounded, continuous=False, during=during)
+        near = history_panels(runs, looks, during)
         panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
         note = f". Each signal over all of the run, then from {during[0]:.4g} to {during[1]:.4g} s"
     broken = [
@@ -225,11 +203,14 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     ]
     note += f". {', '.join(broken)}" if broken else ""
     kind = " and ".join(dict.fromkeys(run.vehicle.kind.name.replace("_", " ") for run in runs))
-    title = f"{kind} over {where}. {lines_text(panels, 'exact sampled response', all(map(_bounded, runs)))}{note}"
+    lines = "Lines: exact sampled response"
+    if any(curve.filled for panel in panels for curve in panel.curves):
+        lines += ", and MuJoCo once the linear regime has ended (full markers); thin: how that response goes on"
+    title = f"{kind} over {where}. {lines}. Markers: MuJoCo{note}"
     return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
 
 
-def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
+def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
     """Returns the stretch of time [s] around the largest peak of the first weighed signal, or None of a run that needs none.
 
     It has about `MOST_SWINGS` of the signal that swings most often.
@@ -248,27 +229,18 @@ def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
     return start, start + length
 
 
-def _bounded(run: Run) -> bool:
+def _bounded(run: RunResult) -> bool:
     """Returns True if a run has not broken off and its loop is not known to be unstable."""
     return run.broke_off is None and not run.prediction.radius >= 1  # NaN of a loop that is not linear
 
 
-def acceleration_peaks(runs: Sequence[Run]) -> tuple[str, dict[str, float]]:
-    """Returns the first weighed acceleration and its peaks in MuJoCo by controller, without runs that broke off.
-
-    Without a choice, of fewer than two, the name and the peaks are empty.
-    """
+def _least(runs: Sequence[RunResult]) -> str:
+    """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
     whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
-    peaks = {run.controller.name: float(run.physics.peak(name)) for run in whole}
-    return (name, peaks) if len(peaks) > 1 else ("", {})
-
-
-def _least(runs: Sequence[Run]) -> str:
-    """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
-    name, peaks = acceleration_peaks(runs)
-    if not name:
+    if len(whole) < 2:
         return ""
+    peaks = {run.controller.name: float(run.physics.peak(name)) for run in whole}
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
     words, unit = name.replace("_", " "), runs[0].vehicle.kind.signal(name).unit.replace("s2", "s²")
     return f"{as_name(least)} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {as_name(most)} has {peaks[most]:.3g}."

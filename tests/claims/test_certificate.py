@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.laws.linear import static_law
-from sim.runs.report import controller_lines
+from sim.runs.report import controller_notes
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, certify
 from synth.command.table import Row, details, row_object
@@ -136,7 +136,7 @@ def test_speed_is_printed(paper):
     controller = certify_given(paper, "stiff", ["sprung_velocity"], static_law(np.array([[-1e7]])))
     (remark,) = controller.certificate.remarks
     assert remark in [one.text for one in details(paper, Row("stiff", controller, (), ())).statements]
-    assert f"  {remark}" in controller_lines(paper, controller)
+    assert remark in controller_notes(paper, controller)
     assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
 
 

@@ -11,7 +11,7 @@ import pytest
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.linear.sampled_response import largest_timestep
-from sim.runs.report import verdict, verdict_lines
+from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
 from tests.models.test_loads import road_of
@@ -171,6 +171,6 @@ FEW = (10, 39, 50, 109, 172, 224)
 def test_no_correct_vehicle_is_called_wrong(seeds, tmp_path):
     """Every run of a correct vehicle passes. Of seeds 0 to 499, all do; CI draws the first 60."""
     runs = {seed: driven(seed, tmp_path) for seed in seeds}
-    wrong = {seed: (verdict(run), verdict_lines(run), run.energy) for seed, run in runs.items() if not run.passed}
+    wrong = {seed: (verdict(run), reasons(run), run.energy) for seed, run in runs.items() if not run.passed}
     assert not wrong
     assert sum(bool(run.agreement.lift_off) for run in runs.values()) > len(runs) / 10

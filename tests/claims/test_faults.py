@@ -21,7 +21,7 @@ from sim.physics import sensor_readout
 from sim.physics.computer import Computer
 from sim.physics.driver import RunDriver
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.runs.report import verdict, verdict_lines
+from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
 from tests.support.commands import attacks
@@ -78,7 +78,7 @@ def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run
     vars(in_python)["measured"] = measured
     driver = of_function(in_python, vehicle.linear_model.measurable) if law == "python" else driver_of(vehicle, law or usual)
     (run,) = run_controllers(vehicle, [driver], road, sample_times(vehicle, 0.4, 1e-3))
-    assert run.passed, verdict_lines(run)
+    assert run.passed, reasons(run)
     return run
 
 
@@ -162,10 +162,9 @@ def test_sensors_that_are_wrong_at_large_motions_alone_are_found(signal):
     assert steps.signal == "heave_acceleration"
     apart = np.abs(run.physics[steps.signal] - clean.physics[steps.signal])
     assert steps.since == run.physics.time[(apart > steps.allowed * run.physics.scale(steps.signal)).argmax()]
-    assert verdict(run).startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on (heave_acceleration)")
-    assert any(
-        line.startswith(f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step") for line in verdict_lines(run)
-    )
+    assert verdict(run).text.startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on (heave_acceleration)")
+    said = f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step"
+    assert any(line.text.startswith(said) for line in reasons(run))
 
 
 def late(values: np.ndarray) -> np.ndarray:
@@ -234,7 +233,7 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
     for name, run in runs.items():
         assert changed(run, clean), name
         assert not run.agreement.commanded, name
-        assert verdict(run).startswith("COMMANDS ARE NOT THE LAW'S from "), name
+        assert verdict(run).text.startswith("COMMANDS ARE NOT THE LAW'S from "), name
 
 
 @pytest.mark.parametrize("regime", ["saturation", *attacks(["linear", "semi-active"])])

@@ -11,7 +11,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.sampled_response import taylor4
-from sim.runs.report import verdict_lines
+from sim.runs.report import reasons
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.support.analysed import continuous_response, sampled_radius, sampled_response, simulate
@@ -100,7 +100,7 @@ def test_noise_and_geometry_are_causes():
     half = with_reality(read_vehicle("half_car"), None, Implementation(noise={"heave_velocity": 1e-7}))
     (run,) = run_controllers(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
     assert run.passed
-    *_, steps, commands, distance = verdict_lines(run)
+    *_, steps, commands, distance, _ = [one.text for one in reasons(run)]
     assert steps.startswith("every MuJoCo step equals one RK4 step of the vehicle's equations of motion from the same state: ")
     assert commands.startswith("every command equals the control law evaluated on the run's measurements: largest error ")
     assert "of every peak throughout; the cause is geometry and noise" in distance

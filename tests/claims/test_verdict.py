@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.sampled_response import roundings
 from sim.response.response import Response
 from sim.runs.agreement import compare
-from sim.runs.report import verdict, verdict_lines
+from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer, certify_given
@@ -98,8 +98,8 @@ def test_a_slow_law_is_allowed_no_more(vehicle, slow):
 def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
     """If nothing is wrong, a run agrees: over high roads and low ones, for short and long times, at any step."""
     for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
-        assert run.passed, (run.controller.name, verdict_lines(run))
-        assert verdict(run) == "agrees; linear analysis applies throughout; energy balances"
+        assert run.passed, (run.controller.name, reasons(run))
+        assert verdict(run).text == "agrees; linear analysis applies throughout; energy balances"
 
 
 @pytest.mark.parametrize(("duration", "height"), [(0.6, 0.1), (0.2, LOWEST), *attacks([(0.6, 1e-3)])])
@@ -109,8 +109,8 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
     steps = run.agreement.steps
     assert steps is not None
     assert not run.agrees
-    assert verdict(run).startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on ({steps.signal})")
-    (line,) = [one for one in verdict_lines(run) if one.startswith("DOES NOT AGREE from ")]
+    assert verdict(run).text.startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on ({steps.signal})")
+    (line,) = [one.text for one in reasons(run) if one.text.startswith("DOES NOT AGREE from ")]
     assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}), allowed {steps.allowed:.0e}")
 
 
@@ -161,7 +161,7 @@ def test_a_car_that_turns_about_its_centre_agrees(kind, own):
     car = without_motion(about_its_centre(kind)) if own else about_its_centre(kind)
     controller = Designer(car).design("passive")
     run = driven(car, controller, Bump(), 0.6)
-    assert run.agrees, verdict_lines(run)
+    assert run.agrees, reasons(run)
     assert not driven(heavier(car, 1e-4), controller, Bump(), 0.6).agrees
 
 
@@ -178,11 +178,11 @@ def test_a_type_without_equations_is_compared_to_first_order(name, height, step,
     controller = Designer(half).design(name)
     car = dataclasses.replace(without_motion(half), implementation=Implementation(noise=noise), controllers={})
     run = driven(car, controller, Bump(height=height), 0.8, step)
-    assert run.agrees, verdict_lines(run)
+    assert run.agrees, reasons(run)
     assert run.agreement.steps is None
-    assert any("compared to first order" in line for line in verdict_lines(run))
+    assert any("compared to first order" in line.text for line in reasons(run))
     wrong = driven(heavier(car, 0.01), controller, Bump(height=height), 0.8, step)
-    assert verdict(wrong).startswith("DOES NOT AGREE with linear analysis throughout")
+    assert verdict(wrong).text.startswith("DOES NOT AGREE with linear analysis throughout")
 
 
 @pytest.mark.parametrize("seed", [68, 89, 111])
@@ -191,7 +191,7 @@ def test_a_tyre_that_is_loose_within_a_step_ends_the_comparison(seed):
     car = read_vehicle("quarter_car")
     road = Iso8608("D", seed, 25.0)
     (run,) = run_controllers(car, [Designer(car).design("passive")], road, sample_times(car, 0.4, 3e-3), balanced=False)
-    assert run.agrees, verdict_lines(run)
+    assert run.agrees, reasons(run)
     assert run.agreement.until < 0.4
 
 
@@ -214,7 +214,7 @@ def test_an_unstable_loop_agrees(case):
     controller = certify_given(paper, "wild", ("suspension_deflection", "sprung_velocity"), law)
     run = driven(paper, controller, Bump(height=height), 1.0)
     assert run.prediction.radius > 1
-    assert run.agrees, verdict_lines(run)
+    assert run.agrees, reasons(run)
     if height > 1e-6:
         assert not driven(heavier(paper, 1e-4), controller, Bump(height=height), 1.0).agrees
 
@@ -229,8 +229,8 @@ def test_a_coarse_step_is_no_disagreement(name):
         implementation=Implementation(sample_period=0.05),
     )
     run = driven(truck, Designer(truck).design(name), Bump(), 3.0, 0.01)
-    assert run.passed, verdict_lines(run)
+    assert run.passed, reasons(run)
     assert run.agreement.steps is not None
     assert run.agreement.steps.until == math.inf
-    assert "; the timestep is too coarse for accurate numbers; energy " in verdict(run)
-    assert "NOT BALANCE" not in verdict(run)
+    assert "; the timestep is too coarse for accurate numbers; energy " in verdict(run).text
+    assert "NOT BALANCE" not in verdict(run).text

@@ -106,33 +106,15 @@ def test_json_says_what_was_proved(everything):
     assert by_name["II_printed"]["peak_frequency"] == pytest.approx(64.221, abs=1e-3)  # a flat top; SLICOT's to 5 digits
 
 
-def test_table_says_what_json_says(capsys, everything):
-    """The table shows the gain, bound, norm, every signal with its unit, the change against passive, and the verdict."""
-    assert main(["--controller", "I", "--no-logs", "-v"]) == 0
-    printed = capsys.readouterr()
-    run = next(run for run in everything["runs"] if run["controller"]["name"] == "I")
-    lines = printed.out.splitlines()
-    for name, entry in run["signals"].items():
-        at = lines.index(f"  {name} [{entry['unit']}]")
-        for kind, line in zip(("peak", "rms"), lines[at + 1 : at + 3], strict=True):
-            assert line.split()[:4] == [kind, *(f"{entry[kind][key]:.6g}" for key in ("mujoco", "sampled", "continuous"))]
-    assert "gain [[10825.2, -2069.5]]" in printed.out
-    assert "bound 7.871486" in printed.out
-    assert "norm 7.843188 at 63.629 rad/s" in printed.out
-    assert "-67.3 %" in printed.out  # 0.760 against 2.324 m/s2
-    assert lines[-1] == "I  agrees; linear analysis applies throughout; energy balances"
-    assert printed.err == ""
-
-
 def test_logs_are_written_and_named(capsys, tmp_path):
     """`--logs DIR` makes the folder for an MCAP file, its layout and a Rerun file; above the verdict it says how to open them."""
     folder = tmp_path / "deep" / "down"
     assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1", "--logs", str(folder), "-v"]) == 0
-    *_, opens, first, _, passive, _ = capsys.readouterr().out.splitlines()
+    *_, opens, first, _, said = capsys.readouterr().out.splitlines()
     layout, mcap, rrd = sorted(folder.iterdir())
     assert opens == f"  rerun {rrd}"
     assert first.strip() == str(mcap)
-    assert passive == "passive  agrees; linear analysis applies throughout; energy balances"
+    assert said == "passive, II: agrees; linear analysis applies throughout; energy balances"
     assert layout.name.endswith(".layout.json")
     with mcap.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -197,11 +179,6 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     tyre = run["signals"]["tyre_deflection"]["peak"]
     assert abs(tyre["mujoco"] - tyre["sampled"]) > 0.1 * tyre["sampled"]
 
-    main(["--controller", "I", "--no-logs", "-v", *options])
-    out = prose(capsys.readouterr().out)
-    assert f"from {run['lift_off'][0][0]:.4g} s to " in out
-    assert f"(error and to cont.: until {run['until']:.4g} s; peak and rms: of the whole run)" in out
-
 
 def test_a_tyre_squeezed_flat_is_reported(capsys):
     """A ten-metre bump at 12.5 m/s puts the hub into the road: the run says so, and compares no further."""
@@ -219,7 +196,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     assert (code, run["agrees"]) == (0, True)
     assert (run["controller"]["norm"], run["controller"]["peak_frequency"]) == (None, None)
     main(["--controller", "mine", "--controller", "passive", "--no-logs", "--vehicle", vehicle, "--brief"])
-    assert "mine UNSTABLE loop; agrees" in prose(capsys.readouterr().out)
+    assert "mine: UNSTABLE loop; agrees" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e5", False), ("-1e7", True), ("1e12", False)])
@@ -238,7 +215,7 @@ def test_a_diverging_run_stops_cleanly(tmp_path, monkeypatch, capfd, gain, conti
     logged = gain == "1e5"
     assert main([*arguments, *(["--logs", "."] if logged else ["--no-logs"]), "-v"]) == code
     out, more = capfd.readouterr()
-    rows = [line.split() for line in out.splitlines() if re.match(r"    (peak|rms) ", line)]
+    rows = [line.split() for line in out.splitlines() if re.match(r" +(peak|rms) ", line)]
     assert len(rows) >= 10
     assert all(row[1:4] == ["-", "-", "-"] for row in rows)
     assert "diverged: MuJoCo was stopped at" in out
@@ -284,14 +261,10 @@ def test_negative_numbers_are_no_options(capsys):
 
 @pytest.mark.parametrize("controller", ["I_printed", "passive"])
 def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
-    """It is said, and within a factor of three is what physics at an eighth of the step makes of it, the force held as long."""
+    """The change at half the step is within a factor of three of what physics at an eighth of the step makes of it."""
     arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"][0]["half_step"]
-    assert main([*arguments, "-v"]) == 0
-    out = prose(capsys.readouterr().out)
-    assert f"{found['difference']:.1e} of" in out
-
     vehicle = read_vehicle("quarter_car")
     held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=1e-3))
     designed, road = Designer(vehicle).design(controller), Bump(height=0.1, length=1.0)

@@ -109,9 +109,9 @@ def test_what_is_shown(paper, designer):
         assert table == [line.strip().replace(": ", "", 1) for line in repr(one).splitlines()[1:]]
         assert "<svg" in one._repr_html_()
     peaks = list(ElementTree.fromstring(f"<div>{run._repr_html_()}</div>").iter("table"))[1]
-    for row in list(peaks.iter("tr"))[1:]:
-        heading, physics, *_ = row.itertext()
-        assert float(physics) == pytest.approx(run.physics.peak(heading.split()[0]), rel=1e-5)
+    for row in list(peaks.iter("tr"))[1::2]:
+        heading, _, physics, *_ = row.itertext()
+        assert physics == f"{run.physics.peak(heading.split()[0]):.5g}"
     assert "<script>" not in dataclasses.replace(controller, name="<script>")._repr_html_()
     wrong = dataclasses.replace(run.physics, values=np.full_like(run.physics.values, np.nan))
     assert "<svg" in dataclasses.replace(run, physics=wrong)._repr_html_()

@@ -28,10 +28,9 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
-from sim.report.headline import what_ended
 from sim.response.regime import LIFT_OFF
 from sim.response.response import Response
-from sim.runs.report import LOST, NO_STATE, verdict, verdict_lines
+from sim.runs.report import LOST, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
@@ -127,9 +126,8 @@ def test_what_no_step_confirms_is_not_compared():
     assert agreement.until == agreement.steps.until < agreement.ended[LIFT_OFF.name]
     shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
     assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
-    assert f"until {agreement.until:.4g} s ({LOST})" in verdict(run)
-    assert any(NO_STATE in line for line in verdict_lines(run))
-    assert what_ended(run) == NO_STATE
+    assert f"until {agreement.until:.4g} s ({LOST})" in verdict(run).text
+    assert any(NO_STATE in line.text for line in reasons(run))
 
 
 def test_a_flat_road_has_no_roughness(capsys):

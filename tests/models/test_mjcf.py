@@ -14,7 +14,7 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.response.regime import SATURATION
-from sim.runs.report import verdict_lines
+from sim.runs.report import reasons
 from sim.runs.run import run_controllers, sample_times
 from tests.conftest import random_vehicles
 from tests.support.shared import designed
@@ -114,4 +114,4 @@ def test_a_limit_acts_behind_the_lag_or_before(order, says):
     limited = np.abs(request if order == "command" else force) >= most
     assert 0 < run.agreement.ended[SATURATION.name] == pytest.approx(5e-3 * limited.argmax())
     assert 40 < limited.sum() < 80  # of 120 samples
-    assert any(says in line for line in verdict_lines(run))
+    assert any(says in line.text for line in reasons(run))

@@ -15,7 +15,7 @@ from models.roads.road import Bump, Road, RoadInput
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.sampled_response import largest_timestep
 from sim.runs.prediction import predicted
-from sim.runs.report import energy_lines, run_object, verdict, verdict_lines
+from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
@@ -189,7 +189,7 @@ def test_a_run_agrees(text, name):
     """Under a lift MuJoCo's steps are those of the equations to rounding, and its commands are those of the law."""
     (run,) = runs(text, name, road=RoadWithLoads(BUMP, (Lift(start=0.1, rise=0.1),)))
     check_physics(run)
-    assert verdict(run).startswith("agrees; no linear reference")
+    assert verdict(run).text.startswith("agrees; no linear reference")
 
 
 @pytest.mark.parametrize("change", ["c_max", *attacks(("bandwidth", "nominal"))])
@@ -205,7 +205,7 @@ def test_another_damper_is_found(change):
     made = simulate([other], [controller], [BUMP], time)
     (run,) = compare_runs([predicted(controller, RoadInput(vehicle, BUMP, time), made.requested_force[0])], made)
     assert not run.agrees
-    assert re.search("DOES NOT AGREE|COMMANDS ARE NOT THE LAW'S", verdict(run))
+    assert re.search("DOES NOT AGREE|COMMANDS ARE NOT THE LAW'S", verdict(run).text)
 
 
 @pytest.mark.parametrize(
@@ -229,10 +229,10 @@ def test_a_damper_takes_energy():
     (run,) = runs(QUARTER + DAMPER, "sky")
     check_physics(run)
     assert run.energy is not None
-    assert energy_lines(run)[0].startswith("energy balances")
+    assert reasons(run)[-1].text.startswith("energy balances")
     worse = replace(run, energy=replace(run.energy, least=-1e-3))
     assert not worse.passed
-    assert "a semi-active damper supplied energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
+    assert "a semi-active damper supplied energy, 1.0e-03 of the most that it took" in reasons(worse)[-1].text
     at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
     assert (at_once.residual, at_once.least, at_once.loads) == (0.0, 0.0, None)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")
@@ -251,14 +251,14 @@ def test_what_is_missing_is_said():
     assert found.pop("late") is None
     assert found == pytest.approx({"rms": rms, "time": share, "softest": 300.0, "hardest": 4000.0}, rel=1e-9)
     first = float(physics.time[np.argmax(np.abs(physics["missing_force"]) > 1e-3)])
-    lines = verdict_lines(run)
+    lines = [one.text for one in reasons(run)]
     assert any(line.startswith("damper: ") and f"at {first:.4g} s" in line for line in lines)
     assert any(f"{100 * rms:.2g} % (rms) of the requested force, at {100 * share:.2g} % of the samples" in line for line in lines)
     assert run.agreement.until == np.inf
     assert run.agreement.ended["damper"] == first
     (none,) = runs(QUARTER + DAMPER, "passive")
     assert "dampers" in run_object(none)
-    assert not [line for line in verdict_lines(none) if "damp" in line]
+    assert not any("damp" in line.text for line in reasons(none))
     assert "dampers" not in run_object(runs(QUARTER, "passive", duration=0.1)[0])
 
 

@@ -20,9 +20,9 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.inspect.__main__ import main as inspect
 from sim.response.regime import reached
-from sim.runs.report import run_object, verdict, verdict_lines
+from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
-from sim.runs.stops import stop_lines
+from sim.runs.stops import stop_note
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
@@ -105,15 +105,15 @@ stop_stiffness = 1e5
 def driven(kind, road=BUMP, duration=0.6):
     """Returns the run of the passive vehicle, after what `sim.bump` prints of it and its object in JSON."""
     (run,) = run_controllers(kind, [Designer(kind).design("passive")], road, sample_times(kind, duration, 1e-3))
-    return run, run_object(run), stop_lines([run], few=3)
+    return run, run_object(run), stop_note(run)
 
 
 def test_each_stop_is_named_with_squeeze_force_and_time():
     """Both stops of a car are named with what MuJoCo does there: its body's equation leaves over the same force."""
     run, made, lines = driven(parse_vehicle(CAR % "0.06"))
-    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s; rebound 17.7 mm, 1773 N at 0.381 s"]
-    assert lines[0].strip() in verdict_lines(run)
-    assert "linear analysis applies until 0.157 s (bump stop)" in verdict(run)
+    assert lines == "stops: bump 1.18 mm, 118 N at 0.169 s; rebound 17.7 mm, 1773 N at 0.381 s"
+    assert lines == reasons(run)[0].text
+    assert "linear analysis applies until 0.157 s (bump stop)" in verdict(run).text
     of = {signal.name: run.physics[signal.name] for signal in run.physics.signals}
     up = 420 * of["sprung_acceleration"] + 22e3 * of["suspension_deflection"]
     up += 1500 * (of["sprung_velocity"] - of["unsprung_velocity"])
@@ -131,16 +131,16 @@ def test_a_side_that_is_left_out_has_no_stop():
     apart, (run, made, lines) = driven(far)[0], driven(one)
     np.testing.assert_array_equal(run.physics.values, apart.physics.values)  # a spring that is never reached adds nothing
     assert run.passed
-    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s"]
+    assert lines == "stops: bump 1.18 mm, 118 N at 0.169 s"
     assert set(made["stops"]["suspension_deflection"]) == {"bump"}
     assert one.limits.phrases(one.kind.suspensions) == ("bump stops at -0.06 m in bump",)
     written = json.loads(json.dumps(one.limits.record))
     assert read_limits({key: value for key, value in written.items() if value is not None}, one.kind.suspensions) == one.limits
     assert one.limits.written == {"suspension_stroke.bump": "0.06", "stop_stiffness": "100000"}
     run, made, lines = driven(parse_vehicle(CAR % "{ rebound = 0.06 }"))
-    assert lines[0].startswith("  stops: rebound ")
-    assert "(rebound stop)" in verdict(run)
-    assert verdict_lines(run)[0].startswith("rebound stop: a suspension is first at the end of its stroke at ")
+    assert lines.startswith("stops: rebound ")
+    assert "(rebound stop)" in verdict(run).text
+    assert reasons(run)[1].text.startswith("rebound stop: a suspension is first at the end of its stroke at ")
     assert "bump" not in made["stops"]["suspension_deflection"]
 
 

@@ -16,7 +16,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import MonitoredBatch, simulate
 from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisation
-from sim.runs.report import controller_lines, controller_object, verdict_lines
+from sim.runs.report import controller_notes, controller_object, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
 from tests.support.commands import attacks, refused
@@ -58,11 +58,11 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert max(free.physics.peak(name) for name in states) > 1e8
     assert max(kept.physics.peak(name) for name in states) < 100
     assert np.abs(kept.physics["missing_force"]).max() < 2000
-    assert kept.passed, "\n".join(verdict_lines(kept))
+    assert kept.passed, reasons(kept)
     said = "anti-windup: where forces are clipped its states follow those that are given, at 20 1/s or faster"
-    assert f"  {said}" in controller_lines(vehicle, kept.controller)
-    assert not any("winds up" in line for line in controller_lines(vehicle, kept.controller))
-    assert any("winds up" in line for line in controller_lines(vehicle, free.controller))
+    assert said in controller_notes(vehicle, kept.controller)
+    assert not any("winds up" in line for line in controller_notes(vehicle, kept.controller))
+    assert any("winds up" in line for line in controller_notes(vehicle, free.controller))
     assert controller_object(kept.controller)["anti_windup"] == RATE
 
 
@@ -132,7 +132,7 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
     assert run.passed
     assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
-    assert any("the command of a lagging actuator first exceeds its largest force" in line for line in verdict_lines(run))
+    assert any("the command of a lagging actuator first exceeds its largest force" in line.text for line in reasons(run))
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)
     full = time[(np.abs(free.physics["control_force"]) >= 50.0).argmax()]
     assert clipped < free.agreement.ended[SATURATION.name] == full  # without anti-windup a lag is linear until then

@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive import main as drive
-from sim.runs.report import energy_lines, verdict, verdict_lines
+from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers
 from synth.__main__ import main as synth
@@ -200,15 +200,15 @@ def test_an_overflow_is_not_blamed_on_the_physics():
     (run,) = run_controllers(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 0.6, 1e-3))
     assert run.physics.ran_away
     assert run.passed
-    assert verdict(run) == f"agrees; no linear reference; energy balances; law overflow at {run.diverged:.4g} s"
+    assert verdict(run).text == f"agrees; no linear reference; energy balances; law overflow at {run.diverged:.4g} s"
     assert run.energy is not None
     steps = run.agreement.steps
     assert steps is not None
     off = replace(run, energy=replace(run.energy, residual=1.0))
     late = replace(off, agreement=replace(off.agreement, steps=replace(steps, error=1.0)))
     for one in (off, late):
-        said = " ".join([verdict(one), *verdict_lines(one), *energy_lines(one)])
-        assert verdict(one).startswith(f"LAW OVERFLOW at {run.diverged:.4g} s: ")
+        said = " ".join([verdict(one).text, *(one.text for one in reasons(one))])
+        assert verdict(one).text.startswith(f"LAW OVERFLOW at {run.diverged:.4g} s: ")
         assert "DOES NOT" not in said
         assert "the vehicle does not have" not in said
         assert "energy is not evaluated" in said

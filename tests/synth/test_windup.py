@@ -14,7 +14,7 @@ from sim.campaign.__main__ import main as campaign
 from sim.physics.energy import BALANCED
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.simulate import MonitoredBatch
-from sim.runs.report import controller_lines, controller_object, events, verdict, verdict_lines
+from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.run_metrics import measure_run, metric_lines
 from sim.studies.validity.regime_map import validity
@@ -80,14 +80,14 @@ def test_a_law_that_is_unstable_by_itself_is_called_so(wound_up):
     vehicle, controller, _ = wound_up
     said = "this law is unstable by itself (+30 1/s)"
     row = Row(controller.name, controller, (), ())
-    for lines in (controller_lines(vehicle, controller), [one.text for one in details(vehicle, row).statements]):
+    for lines in (controller_notes(vehicle, controller), [one.text for one in details(vehicle, row).statements]):
         assert [line.strip() for line in lines if said in line] == [
             f"{said} and winds up where forces are clipped; anti_windup bounds its states"
         ]
     for found in (controller_object(controller), row_object(row)):
         assert found["law_growth"] == pytest.approx(SLOW)
     free = replace(vehicle, limits=Limits(), dampers={})
-    assert f"  {said}" in controller_lines(free, controller)
+    assert said in controller_notes(free, controller)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.all(np.isfinite(before.values))
     assert np.abs(before["controller_1"][-1]) > 1e300
     found = measure_run(run, first=100)
-    text = "\n".join([*verdict_lines(run), verdict(run), *metric_lines(run, found, 0.1, 0.6, ())])
+    text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metric_lines(run, found, 0.1, 0.6, ())])
     assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
     assert f"no metrics of this run: law overflow at {when:.4g} s" in text
     assert "diverge" not in text
@@ -197,5 +197,5 @@ def test_random_unstable_laws(seed):
     vehicle = parse_vehicle(text, source="mine")
     controllers = design(vehicle, ["mine"])
     (run,) = run_controllers(vehicle, controllers, BUMP, sample_times(vehicle, 1.0, 1e-3))
-    assert run.passed, "\n".join(verdict_lines(run))
+    assert run.passed, reasons(run)
     assert run.broke_off is None or run.broke_off[0] == "law overflow"

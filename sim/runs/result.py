@@ -1,0 +1,122 @@
+"""Results of runs: physics, its prediction, and their comparison."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.roads.road import Road, RoadInput
+from models.vehicle.vehicle import Vehicle
+from sim.physics.energy import Energy
+from sim.response.regime import FLAT, broken_by
+from sim.response.response import Response
+from sim.runs.agreement import Agreement
+from sim.runs.prediction import Prediction, predicted
+from synth.controller.controller import AnyController, Controller
+
+
+@dataclass(frozen=True)
+class HalfStep:
+    """Change of the physics by half the timestep, with the same sampling of the controller, after a tyre has left the road.
+
+    After a lift-off no linear response is exact, and RK4 steps over the moments at which a tyre leaves and lands.
+
+    Attributes:
+        difference: largest difference of any signal, over its peak; infinite if one of the two runs diverged.
+        signal: name of that signal.
+    """
+
+    difference: float
+    signal: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunResult:
+    """Run of physics with its prediction.
+
+    Attributes:
+        prediction: linear analysis of this vehicle, controller and road.
+        physics: the response in MuJoCo.
+        agreement: physics against analysis.
+        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
+        energy: energy balance, or None for such a run.
+        half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
+            noisy or quantised, which differs at other steps.
+    """
+
+    prediction: Prediction
+    physics: Response
+    agreement: Agreement
+    qpos: Array | None = None
+    energy: Energy | None = None
+    half_step: HalfStep | None = None
+
+    @property
+    def broke_off(self) -> tuple[str, float] | None:
+        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
+        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
+        first = min(ends, key=lambda name: ends[name])
+        return (first, ends[first]) if math.isfinite(ends[first]) else None
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle, with the limits and implementation of this run."""
+        return self.prediction.vehicle
+
+    @property
+    def controller(self) -> AnyController:
+        """Returns the controller of the run."""
+        return self.prediction.controller
+
+    @property
+    def road(self) -> Road:
+        """The road."""
+        return self.prediction.road
+
+    @property
+    def sampled(self) -> Response:
+        """Exact linear response of the sampled loop."""
+        return self.prediction.sampled
+
+    @property
+    def continuous(self) -> Response:
+        """Exact linear response of the continuous closed loop."""
+        return self.prediction.continuous
+
+    @property
+    def diverged(self) -> float:
+        """Time at which the physics diverged [s]; infinite if it did not."""
+        return self.physics.diverged
+
+    @property
+    def agrees(self) -> bool:
+        """Returns True if physics agrees with its analysis, for as long as that applies."""
+        return self.agreement.agrees
+
+    @property
+    def passed(self) -> bool:
+        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
+        return self.agrees and (self.energy is None or not self.energy.fails)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Run of a linear controller for comparison in tables, without a verdict.
+
+    Attributes:
+        physics: response in MuJoCo.
+        controller: the controller.
+        input: the vehicle and its road.
+    """
+
+    physics: Response
+    controller: Controller
+    input: RoadInput
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")
+    def sampled(self) -> Response:
+        """The exact linear response of the sampled loop."""
+        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled
