@@ -13,6 +13,7 @@ from models.common.command import chosen_of, complain
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.document.outputs import check_outputs, written, written_lines
+from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
@@ -192,9 +193,9 @@ def drive(
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         lines += _above(options, driven, interval, road)
         if steps and not options.brief:
-            from sim.studies.ride.step_response import step_lines
+            from sim.studies.ride.step_response import describe
 
-            lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
+            lines += ["", *text_lines(describe(shown, steps, options.band), "full" if options.verbose else "normal")]
         settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
         about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
         several = len(driven) > 1
@@ -308,20 +309,19 @@ def _above(options: Namespace, driven: Sequence[Driven], interval: Interval | No
         for each in driven:
             lines += start_lines([run for run in each.shown if run.controller.name not in each.variants], starts_later(options))
     if options.verbose:
-        from sim.studies.ride.run_metrics import driven_roughness, metric_lines
+        from sim.studies.ride.run_metrics import describe, driven_roughness
 
         for each in driven:
             for run, own in zip(each.shown, each.metrics or [None] * len(each.shown), strict=True):
                 lines += ["", *comparison.compared_lines(run, each.passive)]
                 if interval is not None and own is not None:
                     rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
-                    lines += ["", *metric_lines(run, own, interval.start, interval.end, rough)]
+                    lines += ["", *text_lines(describe(run, own, interval.start, interval.end, rough), "full")]
     elif not options.brief:
         lines += comparison.short_lines(shown, [name for each in driven for name in each.variants])
         if interval is not None:
-            from sim.studies.ride.run_metrics import angle_lines, broken_lines, expected_lines
+            from sim.studies.ride.run_metrics import broken, summary
 
-            lines += shared_lines([(run.controller.name, line) for run in shown for line in broken_lines(run)])
-            lines += angle_lines(shown, metrics)
-            lines += expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
+            lines += shared_lines([(run.controller.name, line) for run in shown for line in broken(run)])
+            lines += ["", *told] if (told := text_lines(summary(shown, metrics))) else []
     return lines

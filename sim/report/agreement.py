@@ -11,11 +11,12 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
+from models.document.text import names_text
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from sim.command.drive_options import end_lines
 from sim.physics.energy import Energy
-from sim.report.scope import BUMP_DURATION, Scope, change_text, names_text
+from sim.report.scope import BUMP_DURATION, Scope, change_text
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 from models.common.printed import as_name, percent
 from models.document.document import Statement
+from models.document.text import joined, names_text
 from sim.linear.dampers import is_linear
-from sim.report.scope import Scope, at_most, joined, names_text, percents
+from sim.report.scope import Scope, at_most, percents
 from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
 from sim.runs.report import NO_STATE
