@@ -41,7 +41,7 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
         if isinstance(block, Statement):
             lines += [*([""] if isinstance(before, Document) else []), *wrapped(block.text.replace("`", ""), indent)]
         elif isinstance(block, Table):
-            lines += [*([""] if isinstance(before, Statement) and not document.title else []), *table_lines(block)]
+            lines += [*([""] if isinstance(before, Statement) and not document.title else []), *table_lines(block, indent)]
         elif isinstance(block, Document):
             lines += [*([""] if lines else []), *text_lines(block, detail)]
         before = block
