@@ -83,7 +83,6 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
         widths = [max(map(len, column)) for column in shown]
         if len(indent) + sum(widths) + len(GAP) * (len(widths) - 1) <= WIDTH:
             break
-    shown = [[f"{cell:{widths[i]}}" for cell in column] if 0 < i < words else column for i, column in enumerate(shown)]
     cells = [*zip(*shown, strict=True)]
     rows: list[Sequence[str] | str] = [*cells[: len(cells) - len(one.rows)]]
     for i, row in enumerate(cells[len(rows) :]):
