@@ -70,7 +70,7 @@ class Page:
         summary: the first part: figures and tables, without a title.
         sections: the others, in order.
         headline: the answer in a line.
-        lead: a sentence for each controller that is best at something, with its cost.
+        lead: statements on the controllers that are best at something, with their cost.
         verdict: the state in words; empty for those of a report on a vehicle file.
         sketch: sketch of the vehicle at the top, or None.
     """
@@ -80,7 +80,7 @@ class Page:
     summary: Document
     sections: tuple[Document, ...]
     headline: str = ""
-    lead: tuple[str, ...] = ()
+    lead: tuple[Statement, ...] = ()
     verdict: str = ""
     sketch: Sketch | None = None
 

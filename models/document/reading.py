@@ -20,6 +20,7 @@ NOTHING = 1e-9  # of a column's largest number: less is rounding
 DIGITS = 3  # that a number keeps where a column has fixed decimals
 LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
+WIDE = "\u2007\u2008"  # as wide as a digit, and as a point
 MANY = 10  # rows; a longer table is folded
 LONG_NAME = 16  # letters; a line may break within longer names
 OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
@@ -138,8 +139,9 @@ def aligned(column: Sequence[str]) -> list[str]:
     Figure spaces align the decimal points of others. A column with an other word than - is unchanged.
     """
     if any(cell.endswith("*") for cell in column):  # the best is marked
-        cells = aligned([cell.removesuffix("*") for cell in column])
-        return [f"{cell}{'*' if marked.endswith('*') else BLANK}" for cell, marked in zip(cells, column, strict=True)]
+        marks = ["*" if cell.endswith("*") else BLANK for cell in column]
+        cells = zip(aligned([cell.removesuffix("*") for cell in column]), marks, strict=True)
+        return [f"{cell.rstrip(WIDE)}{mark}{cell[len(cell.rstrip(WIDE)) :]}" for cell, mark in cells]
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)

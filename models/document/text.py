@@ -1,12 +1,16 @@
 """Documents as text: lines of at most 80 columns for a terminal, and Markdown."""
 
+import textwrap
 from collections.abc import Iterable, Sequence
 
-from models.common.printed import GAP, LINES, WIDTH, as_name, fitted, table, wrapped
+from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fitted, table, wrapped
 from models.document.document import NOTE, Detail, Document, Statement, Table, is_shown
 from models.document.field import Field, T, cells, titles
 
 HANG = 6  # spaces before a remark below its row
+HEADING = 3  # lines of a heading, at most
+CHANGE = ", %"  # end of the heading of changes of the numbers in the column before
+BEST = "*"  # after a number
 
 
 def field_table(fields: Sequence[Field[T]], ones: Iterable[T]) -> list[str]:
@@ -57,16 +61,60 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
 
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
-    """Returns a table's lines for a terminal. Remarks of a last column `NOTE` stand right of the row, or below it."""
+    """Returns a table's lines for a terminal: headings wrap if there is no room, and a change follows its number.
+
+    Rows with the same name follow it, indented, if they have further words. Remarks of a last column `NOTE` are right of the
+    row, or below it.
+    """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
-    if one.headings[-1] != NOTE:
-        return table([*zip(*columns, strict=True)], indent)
-    *rows, remarks = columns
-    lines = []
-    for line, remark in zip(table([*zip(*rows, strict=True)], indent), ("", *remarks[1:]), strict=True):
-        beside = f"{line}{GAP}{remark}".rstrip()
-        lines += [beside] if len(beside) <= WIDTH else [line, *wrapped(remark, " " * HANG)]
+    remarks: Sequence[str] = ()
+    if one.headings[-1] == NOTE:
+        _, *remarks = columns.pop()
+    several = one.words > 1 and not remarks and len({*columns[0]}) < len(columns[0])
+    above = columns.pop(0)[1:] if several else ("",) * len(one.rows)
+    words = one.words - several
+    columns[0] = tuple(f"{GAP * several}{cell}" for cell in columns[0])
+    columns = [*columns[:words], *_with_changes(columns[words:])]
+    shown, widths = columns, list[int]()
+    for most in range(1, HEADING + 1):
+        tops = [_heading(heading, most) for heading, *_ in columns]
+        high = max(map(len, tops))
+        shown = [[*[""] * (high - len(top)), *top, *cells] for top, (_, *cells) in zip(tops, columns, strict=True)]
+        widths = [max(map(len, column)) for column in shown]
+        if len(indent) + sum(widths) + len(GAP) * (len(widths) - 1) <= WIDTH:
+            break
+    cells = [*zip(*shown, strict=True)]
+    rows: list[Sequence[str] | str] = [*cells[: len(cells) - len(one.rows)]]
+    for i, row in enumerate(cells[len(rows) :]):
+        rows += [above[i], row] if above[i] and above[i] not in above[i - 1 : i] else [row]
+    lines = table(rows, indent, tight=True)
+    if remarks:
+        rests, lines = lines[-len(remarks) :], lines[: -len(remarks)]
+        for line, remark in zip(rests, remarks, strict=True):
+            beside = f"{line}{GAP}{remark}".rstrip()
+            lines += [beside] if len(beside) <= WIDTH else [line, *wrapped(remark, " " * HANG)]
     return lines
+
+
+def _with_changes(columns: Iterable[Sequence[str]]) -> list[list[str]]:
+    """Returns columns of numbers: those with a mark of the best aligned, and each column of changes joined to the one before."""
+    joined: list[list[str]] = []
+    for heading, *numbers in columns:
+        marked = any(cell.endswith(BEST) for cell in numbers)
+        cells = [f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers]
+        if joined and heading.endswith(CHANGE):
+            width = max(map(len, cells), default=0)
+            before, *numbers = joined.pop()
+            heading, cells = f"{before} %", [f"{one} {change:>{width}}" for one, change in zip(numbers, cells, strict=True)]
+        joined.append([heading, *cells])
+    return joined
+
+
+def _heading(text: str, most: int) -> list[str]:
+    """Returns a heading in at most so many lines, as narrow as that allows; its unit is not broken."""
+    glued = text.replace("] ", f"]{GLUE}")
+    broken = (textwrap.wrap(glued, width, break_long_words=False, break_on_hyphens=False) for width in range(1, len(text) + 1))
+    return [line.replace(GLUE, " ") for line in next(lines for lines in broken if len(lines) <= most)]
 
 
 def markdown(document: Document, level: int = 2) -> str:

@@ -14,8 +14,10 @@ import numpy as np
 
 from models.common.errors import InputError, listing
 from models.common.files import whole_file
-from models.common.printed import pasted, percent
+from models.common.printed import as_name, pasted, percent
 from models.common.toml_edit import section_lines
+from models.document.document import Statement
+from models.document.field import Field
 from models.document.outputs import CAMPAIGN_SUM
 from models.roads.load_choice import setting
 from models.vehicle.in_place import with_sections
@@ -31,6 +33,8 @@ from sim.studies.ride.standing import columns_of, over_runs
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
 SIGNED = ("at_end",)
+VALUE, MISS = Field[float]("value", float, ".4g"), Field[float]("miss", float, ".3g")
+DRAWN = Field[float]("drawn key", float, ".6g")
 
 
 @dataclass(frozen=True)
@@ -94,24 +98,29 @@ class Choice:
         return {**about, "best": described} if self.within else {**about, "nearest": {**described, "misses": self.misses}}
 
     @property
-    def line(self) -> str:
-        """The choice on one line."""
+    def statement(self) -> Statement:
+        """The choice in words."""
         request, candidate = self.request, self.candidate
         if candidate is None:
-            absent = f"has {listing([request.metric, *request.limits])} of all runs, as some broke off"
-            return f"{self.vehicle}: none of {self.count} {absent}; nothing is best"
-        keys = "".join(f", {key} {value:.6g}" for key, value in self.values.items())
-        numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.numbers.items())
+            absent = listing([request.metric, *request.limits])
+            return Statement(f"{self.vehicle}: None of {self.count} has {absent} of all runs, as some broke off.", "fails")
+        drawn = "".join(f", {key} {DRAWN.digits(value)}" for key, value in self.values.items())
+        who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
-            limits = f" within {request.words}" if request.limits else ""
-            count = f"; {self.within} of {self.count} are within" if request.limits else f"; of {self.count}"
-            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}"
+            numbers = ", ".join(f"{name} {VALUE.digits(value)}" for name, value in self.numbers.items())
+            count = f"{self.within} of {self.count} are within" if request.limits else f"There are {self.count} candidates"
+            return Statement(f"{who} has the best {request.metric}{self.limits}: {numbers}. {count}.", "holds")
         missed = []
         for name, by in self.misses.items():
             share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
-            missed.append(f"{name} by {by:.3g} {request.units[name]}".rstrip() + share)
-        nearest = f"{candidate.name}{keys} is nearest, and misses {' and '.join(missed)}"
-        return f"{self.vehicle}: none of {self.count} is within {request.words}; {nearest}"
+            missed.append(f"{name} by {MISS.digits(by)} {request.units[name]}".rstrip() + share)
+        text = f"{who} is nearest to {request.words}, and misses {' and '.join(missed)}. None of {self.count} is within."
+        return Statement(text, "fails")
+
+    @property
+    def limits(self) -> str:
+        """The limits of the request after the word "within"; empty without limits."""
+        return f" within {self.request.words}" if self.request.limits else ""
 
 
 def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
@@ -212,12 +221,11 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     assert candidate is not None, "there is one"
     name = candidate.controller if candidate.variant is None else candidate.controller + SUFFIX
     request = choice.request
-    within = f" within {request.words}" if request.limits else ""
     of_law = "" if candidate.variant is None else f", variant {candidate.variant} of {candidate.controller}"
     numbers = ", ".join(f"{metric} {value!r}" for metric, value in choice.numbers.items())
     drawn = "" if candidate.variant is None else f"; variants by seed {campaign.sample_seed} of [samples]"
     lines = [
-        f"# {name}{of_law}: the best {request.metric}{within}, of {choice.count} and in SI units, by:",
+        f"# {name}{of_law}: the best {request.metric}{choice.limits}, of {choice.count} and in SI units, by:",
         f"# {pasted(shlex.split(command))}",
         f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
         f"{CAMPAIGN_SUM}{identity}",

@@ -12,8 +12,10 @@ from models.common.errors import InputError, listing
 from models.common.files import read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
+from models.document.document import Document
 from models.document.outputs import check_outputs, written, written_lines
 from models.document.picture import write_picture
+from models.document.text import text_lines
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns
@@ -22,7 +24,7 @@ from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import Manifest, gains_of, locked, read_manifest
 from sim.campaign.plan import Plan, Progress
 from sim.campaign.store import Store
-from sim.campaign.summary import compare, compared_lines, short_lines, summarise, summary_lines, trade_off
+from sim.campaign.summary import compare, compared_lines, describe, summarise, trade_off
 from sim.campaign.verify import verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
@@ -75,7 +77,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         entries, standings = summarise(plan, store), compare(plan, store)
         choices = [choose(plan, store, request, vehicle) for vehicle in campaign.vehicles] if request is not None else []
         within = all(choice.within for choice in choices)
-        figure = trade_off(plan, entries) if options.picture is not None else None
+        figure = trade_off(plan, entries, standings) if options.picture is not None else None
         saved = None
         if options.save is not None and within:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
@@ -105,10 +107,12 @@ def run_campaign(options: argparse.Namespace) -> int:
     coded = {f"{name} in {one['code']['numbers']}" for name, one in gains if "code" in one}
     lines += [f"compiled code drives {listing(coded)}"] if coded else []
     lines += ["", "results", Whole(f"  {store.results}")]
-    lines += [] if options.brief else (summary_lines if options.verbose else short_lines)(entries)
+    if not options.brief:
+        lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
+        lines += [] if options.verbose else ["-v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
     lines += written_lines(outputs)
     lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
-    lines += ["", *(choice.line for choice in choices)] if choices else []
+    lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
     lines += [f"saved as controller {saved}"] if saved is not None else []
     say(lines)
     return 0 if within else 1

@@ -5,7 +5,6 @@ they are expected to do over the same roads. What lies below it on the left is w
 """
 
 import itertools
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import WIDTH, cell, percent, table, wrapped
+from models.common.printed import as_name, percent
+from models.document.document import Block, Document, Table, notes
+from models.document.field import Field
 from models.document.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed, PythonLaw
 from models.vehicle.names import PASSIVE
@@ -23,8 +24,19 @@ from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
-from sim.studies.ride.metrics import dynamic_load, points
-from sim.studies.ride.standing import MEASURES, Standing, columns_of, standing_lines, standing_over_runs
+from sim.studies.ride.metrics import points
+from sim.studies.ride.standing import (
+    FIELDS,
+    FORCES,
+    LOAD,
+    RIDE,
+    Standing,
+    columns_of,
+    digits,
+    headline,
+    standing_lines,
+    standing_over_runs,
+)
 from synth.controller.controller import Controller
 from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.designer import Designer
@@ -32,12 +44,8 @@ from synth.vehicle.designer import Designer
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     """Returns the metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
-    where = points(vehicle)
-    return {
-        "ride": tuple(f"{name}_weighted" for name in where.accelerations),
-        "travel": tuple(f"{name}_rms" for name in where.suspensions),
-        "load": tuple(dynamic_load(name) for name in where.tyres),
-    }
+    columns, travel = columns_of(vehicle), tuple(f"{name}_rms" for name in points(vehicle).suspensions)
+    return {"ride": columns[RIDE.key], "travel": travel, "load": columns[LOAD.key]}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
@@ -66,10 +74,9 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
     lines = []
     for vehicle, every in standings.items():
         shown = {chosen.get(vehicle)}
-        for one in MEASURES:
-            counted = {who: each for who, each in every.items() if not (one.effort and who.controller == PASSIVE)}
-            numbers = {who: value for who, each in counted.items() if (value := each.values[one.key]) is not None}
-            shown.add(min(numbers, key=numbers.__getitem__, default=None))
+        for one in FIELDS:
+            counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
+            shown.add(min((who for who in counted if counted[who] is not None), key=counted.__getitem__, default=None))
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # all have broken off
         some = [each for who, each in every.items() if who.variant is None or who in shown]
@@ -77,9 +84,6 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
         left = f"; {len(every) - len(some)} variants that are best at nothing are left out" if len(every) > len(some) else ""
         lines += ["", vehicle, *standing_lines(some, f"MuJoCo, all runs, their largest peaks{absent}{left}")]
     return lines
-
-
-UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
 
 
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
@@ -155,91 +159,92 @@ def _standard_error(values: Array) -> float | None:
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The table."""
-    lines: list[str] = []
-    places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
-    for (vehicle, road, speed), here in places:
-        every = list(here)
-        counted = {"runs": "runs", "left": "left linear"}
-        counted |= {"broke_off": "broke off"} if any(entry["broke_off"] for entry in every) else {}
-        counted |= {"failed": "failed"} if any(entry.get("failed") for entry in every) else {}
-        rows: list[tuple[str, ...] | str] = [("", "rms", "95 %", "predicted", *counted.values())]
-        for name, unit in UNITS.items():
-            rows.append(f"{name} [{unit}]")
-            for entry in every:
-                numbers = (cell(entry[name][key], ".4g") for key in ("rms", "p95", "predicted"))
-                rows.append((f"  {entry['controller']}", *numbers, *(str(entry.get(key, 0)) for key in counted)))
-        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_notes(every)]
-    return lines
-
-
+LINES = {"ride": "ride [m/s²]", "travel": "travel [m]", "load": "load [-]"}
+Rides = tuple[str, Mapping[str, float | None]]  # a road at a speed, and the ride of each controller there
+Line = tuple[str, Mapping[str, Any]]  # one of `LINES`, and an entry
+STATISTICS = tuple(
+    Field[Line](label, lambda row, key=key: row[1][row[0]][key], ".4g")
+    for label, key in (("rms", "rms"), ("95 %", "p95"), ("predicted", "predicted"))
+)
+COUNTS = tuple(
+    Field[Line](label, lambda row, key=key: row[1].get(key, 0), ".0f", key=key)
+    for label, key in (("runs", "runs"), ("left linear", "left"), ("broke off", "broke_off"), ("failed", "failed"))
+)
 FEW = 3  # controllers whose runs are counted one by one
-SEEN = 6  # roads and speeds that a short table has
+SEEN = 6  # roads and speeds, and controllers, of a table of the ride
 
 
-def short_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns the ride by road where there are few, what left the linear regime, and how far the ride is from its prediction."""
-    lines, groups = [""], [list(some) for _, some in itertools.groupby(entries, lambda entry: entry["vehicle"])]
-    if len(groups) == 1:
-        lines += _ride_table(entries)
-    for some in groups:
-        of = f"{some[0]['vehicle']}: " if len(groups) > 1 else ""
+def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
+    """Returns the ride by road where there are few, what left the linear regime, and in full the numbers of each road."""
+    vehicles = [(vehicle, [*some]) for vehicle, some in itertools.groupby(entries, lambda entry: entry["vehicle"])]
+    blocks: list[Block] = [] if len(vehicles) > 1 else _ride_table(entries)
+    for vehicle, some in vehicles:
         by_controller: dict[str, list[Mapping[str, Any]]] = {}
         for entry in some:
             by_controller.setdefault(entry["controller"], []).append(entry)
         whole = [_all_roads(own) for own in by_controller.values()]
         order = sorted(whole, key=lambda one: one["left"] / one["runs"])
-        left = [f"{one['left']} of {one['runs']} of {one['controller']}" for one in order if one["left"]]
+        left = [f"{one['left']} of {one['runs']} of {as_name(one['controller'])}" for one in order if one["left"]]
         told = f"{left[0]} to {left[-1]}" if len(left) > FEW and len(left) == len(whole) else ", ".join(left) or "none"
-        lines += wrapped(f"{of}runs that left the linear regime: {told}", "  ", 4)
+        of = f"{vehicle}: " if len(vehicles) > 1 else ""
+        said = [f"{of}Runs that left the linear regime: {told}."]
         kept = [entry["ride"] for entry in some if not entry["left"] and entry["ride"]["predicted"]]
-        if kept and left:
-            of += "where none has, "
         if kept:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
-            said = f"{of}the ride is within {percent(off)} of its prediction, over random roads a mean"
-            lines += wrapped(said, "  ", 4)
-        lines += _notes(whole)
-    return [*lines, "  -v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
+            where = "On roads without such runs, the ride" if left else "The ride"
+            said.append(f"{of}{where} is within {percent(off)} of its prediction, which is a mean over random roads.")
+        blocks += notes(*said, *_remarks(whole))
+    places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
+    return Document("", (*blocks, *(_place(*place, [*here]) for place, here in places)))
 
 
-def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns the ride of every controller on every road of a vehicle; empty for a single road, or what does not fit."""
-    by_place: dict[str, dict[str, str]] = {}
+def _place(vehicle: str, road: str, speed: float, entries: Sequence[Mapping[str, Any]]) -> Document:
+    """Returns the numbers of all controllers on a road at a speed [m/s]."""
+    title = f"{vehicle} over {road} at {speed:g} m/s"
+    columns: tuple[Field[Line], ...] = (
+        Field("metric", lambda row: LINES[row[0]]),
+        Field("controller", lambda row: row[1]["controller"]),
+        *STATISTICS,
+        *(one for i, one in enumerate(COUNTS) if i < 2 or any(entry.get(one.key) for entry in entries)),
+    )
+    table = Table.of("place", title, columns, [(line, entry) for line in LINES for entry in entries], words=2)
+    return Document(title, (table, *notes(*_remarks(entries))), "full")
+
+
+def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
+    """Returns the ride of every controller on every road of a vehicle; nothing for a single road, or many of either."""
+    by_place: dict[str, dict[str, float | None]] = {}
     for entry in entries:
-        place = by_place.setdefault(f"{entry['road']} at {entry['speed']:g} m/s", {})
-        place[entry["controller"]] = cell(entry["ride"]["rms"], ".3g")
-    names = list(dict.fromkeys(entry["controller"] for entry in entries))
-    rows = [(place, *(here.get(name, "-") for name in names)) for place, here in by_place.items()]
-    lines = table([("ride, rms [m/s2]", *names), *rows])
-    return lines if 1 < len(rows) <= SEEN and len(lines) == len(rows) + 1 and max(map(len, lines)) <= WIDTH else []
+        by_place.setdefault(f"{entry['road']} at {entry['speed']:g} m/s", {})[entry["controller"]] = entry["ride"]["rms"]
+    names = dict.fromkeys(entry["controller"] for entry in entries)
+    if not (1 < len(by_place) <= SEEN and len(names) <= SEEN):
+        return []
+    place = Field[Rides]("ride, rms [m/s²]", lambda row: row[0])
+    columns = (place, *(Field[Rides](name, lambda row, name=name: row[1].get(name), digits) for name in names))
+    return [Table.of("ride", "Ride on each road.", columns, by_place.items())]
 
 
 def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the counts of a controller's entries, summed, with the first reasons."""
     whole: dict[str, Any] = dict(entries[0])
-    for key in ("runs", "left", "broke_off", *(["failed"] if "failed" in whole else [])):
-        whole[key] = sum(entry[key] for entry in entries)
-    for key in ("first_reason", "first_failure"):
-        whole[key] = next((entry[key] for entry in entries if entry.get(key)), None)
-    return whole
+    whole |= {one.key: sum(entry[one.key] for entry in entries) for one in COUNTS if one.key in whole}
+    reasons = {key: [entry[key] for entry in entries if entry.get(key)] for key in ("first_reason", "first_failure")}
+    return whole | {key: next(iter(some), None) for key, some in reasons.items()}
 
 
-def _notes(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """Returns sentences on the controllers of which runs broke off, and on those with a law in Python or an FMU."""
-    lines = [
-        f"  {entry['controller']}: {entry['broke_off']} of {entry['runs']} runs broke off, the first: {entry['first_reason']}"
-        for entry in entries
-        if entry["broke_off"]
-    ]
-    for entry in (one for one in entries if "law" in one):
-        what = f"{PythonLaw(entry['law']).with_article}, {entry['law']}"
-        line = f"  {entry['controller']} is {what}: no linear claim, so nothing is predicted of it"
-        if entry["failed"]:
-            line += f"; {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}"
-        lines.append(line)
-    return lines
+    said = []
+    for entry in entries:
+        who = as_name(entry["controller"])
+        if entry["broke_off"]:
+            said.append(f"{who}: {entry['broke_off']} of {entry['runs']} runs broke off, the first: {entry['first_reason']}.")
+        if "law" in entry:
+            what = f"{PythonLaw(entry['law']).with_article}, {entry['law']}"
+            said.append(f"{who} is {what}: linear analysis does not apply, and there is no prediction.")
+        if entry.get("failed"):
+            said.append(f"{who}: {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}.")
+    return said
 
 
 CONSTANT = 25  # dampers on the line
@@ -248,11 +253,12 @@ ACROSS, UP = "load", "ride"
 ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]"
 
 
-def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None:
+def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], standings: Standings) -> Figure | None:
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
         entries: results of the campaign, see `summarise`.
+        standings: standings over all runs, see `compare`.
 
     Returns:
         None if no run has both metrics.
@@ -284,8 +290,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
         return None
     drawn = {curve.label: curve for panel in panels for curve in panel.curves}
     absent = [label for label in looks if label not in drawn]
-    said = {vehicle: _finding([entry for entry in entries if entry["vehicle"] == vehicle]) for vehicle in own}
-    finding = "; ".join(f"{vehicle}: {words}" if several else words for vehicle, words in said.items() if words)
+    said = [f"{vehicle}: " * several + headline([*each.values()]) for vehicle, each in standings.items()]
     crossed = any(curve.marker == "x" for curve in drawn.values())
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
@@ -293,7 +298,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
         + (" Crosses: with force actuators instead of semi-active dampers." if crossed else "")
         + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
     )
-    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), finding=finding)
+    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), finding="; ".join(said))
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
@@ -310,23 +315,6 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
         return []
     ends = np.array([[x - 2 * across, y], [x + 2 * across, y], [np.nan, np.nan], [x, y - 2 * up], [x, y + 2 * up]])
     return [Curve(ends[:, 0], ends[:, 1], "", color, width=1.0, name=f"{entry['controller']}, two standard errors")]
-
-
-def _finding(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Returns which controller of a vehicle rides best and which holds the road best, and in how many panels; empty for one."""
-    best = []
-    for _, group in itertools.groupby(entries, lambda entry: (entry["road"], entry["speed"])):
-        least = {entry["controller"]: np.min(some, axis=0) for entry in group if (some := _points(entry))}
-        if len(least) > 1:
-            best.append([min(least, key=lambda name: least[name][i]) for i in (1, 0)])
-    counts = [Counter(names).most_common() for names in zip(*best, strict=True)]
-    if not counts:
-        return ""
-    (rides, *others), (holds, *more) = counts
-    if not others and not more:
-        return f"{rides[0]} rides best{f', {holds[0]} holds' if holds[0] != rides[0] else ' and holds'} the road best"
-    words = [", ".join(f"{name} in {count} of {len(best)}" for name, count in some) for some in counts]
-    return f"rides best: {words[0]}; holds the road best: {words[1]}"
 
 
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:

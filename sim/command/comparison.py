@@ -284,6 +284,6 @@ def standings_of(
             broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
             values = {} if broken else measure(vehicle, response, first, road.loaded, end)
         one = standing(vehicle, name, values)
-        strokes = {} if one.values[TRAVEL] is None else strokes_used(runs[0].vehicle, response, first, end)
+        strokes = {} if one.values[TRAVEL.key] is None else strokes_used(runs[0].vehicle, response, first, end)
         standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
     return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])

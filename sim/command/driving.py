@@ -189,9 +189,9 @@ def drive(
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         lines += _above(options, driven, interval, road)
         if steps and not options.brief:
-            from sim.studies.ride.step_response import step_lines
+            from sim.studies.ride.step_response import describe
 
-            lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
+            lines += ["", *text_lines(describe(shown, steps, options.band), "full" if options.verbose else "normal")]
         settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
         about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
         if len(shown) > FEW and not (options.verbose or options.brief):
@@ -304,21 +304,20 @@ def _above(options: Namespace, driven: Sequence[Driven], interval: Interval | No
         for each in driven:
             lines += start_lines(each.shown[: len(each.built)], starts_later(options))
     if options.verbose:
-        from sim.studies.ride.run_metrics import driven_roughness, metric_lines
+        from sim.studies.ride.run_metrics import describe, driven_roughness
 
         for each in driven:
             for run, own in zip(each.shown, each.metrics or [None] * len(each.shown), strict=True):
                 lines += comparison.run_lines([run], each.passive)
                 if interval is not None and own is not None:
                     rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
-                    lines += ["", *metric_lines(run, own, interval.start, interval.end, rough)]
+                    lines += ["", *text_lines(describe(run, own, interval.start, interval.end, rough), "full")]
     elif not options.brief:
         lines += comparison.run_lines(shown)
         if interval is not None:
-            from sim.studies.ride.run_metrics import angle_lines, broken_lines, expected_lines
+            from sim.studies.ride.run_metrics import broken, summary
 
-            broken = [(run.controller.name, Statement(line)) for run in shown for line in broken_lines(run)]
-            lines += text_lines(Document("", shared(broken)))
-            lines += angle_lines(shown, metrics)
-            lines += expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
+            left = [(run.controller.name, Statement(line)) for run in shown for line in broken(run)]
+            lines += text_lines(Document("", shared(left)))
+            lines += ["", *told] if (told := text_lines(summary(shown, metrics))) else []
     return lines

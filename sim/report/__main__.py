@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not options.brief:
             # What percentages are of, the table says.
             room, texts = [*lines, "", "", page.verdict], [one.text for one in page.answer]
-            said = texts if options.verbose else some_sentences(page.lead[:-1], room)
+            said = texts if options.verbose else some_sentences([one.text for one in page.lead[:-1]], room)
             lines += ["", *said, *([""] if said else []), page.verdict]
         say(lines)
     return 1 if undesigned else 0
@@ -259,7 +259,7 @@ def _gallery(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({**gallery_object(results), **written(outputs)}, allow_nan=False))
     else:
-        say([*written_lines(outputs)[1:], "", page.headline, *page.lead])
+        say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.lead)])
     return 1 if page.state == "fails" else 0
 
 

@@ -11,8 +11,9 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
+from models.document.text import names_text
 from sim.command.drive_options import end_lines
-from sim.report.scope import BUMP_DURATION, Scope, names_text
+from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts

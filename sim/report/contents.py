@@ -16,7 +16,7 @@ from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, response_section
-from sim.report.best import dives, headline, lead, titled
+from sim.report.best import dives, lead, titled
 from sim.report.designs import design_section, paper_section
 from sim.report.loads import loads_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
@@ -29,7 +29,7 @@ from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.report import describe, workshop
 from sim.studies.frequency.sweep import OWN, Sweep, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
-from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
+from sim.studies.ride.standing import Standing, headline, standing, standings_object, without_unsound
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_end import regime_ends
 from sim.studies.validity.regime_map import Cells, validity
@@ -120,7 +120,7 @@ def report(
         first_screen(scope, runs, compared, dive, where),
         tuple(sections),
         headline(compared),
-        tuple(lead(compared, dive, norms, where)),
+        lead(compared, dive, norms, where),
         sketch=vehicle_sketch(vehicle),
     )
     return Report(replace(whole, verdict=VERDICTS[whole.state].replace("the paper's bump", scope.where)), compared, where)
@@ -279,7 +279,7 @@ def report_object(report: Report) -> dict[str, Any]:
     whole = {
         "title": page.title,
         "headline": page.headline,
-        "lead": page.lead,
+        "lead": [one.text for one in page.lead],
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": tables,

@@ -39,7 +39,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
         Document("", found.tables),
         sections,
         headline=headline,
-        lead=tuple(lead),
+        lead=notes(*lead),
         verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
     )
 

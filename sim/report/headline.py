@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from models.common.printed import as_name
 from models.document.document import Statement
-from sim.report.scope import Scope, names_text
+from models.document.text import names_text
+from sim.report.scope import Scope
 from sim.runs.run import Run
 from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller

@@ -11,13 +11,14 @@ from models.document.document import Document, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, Style
 from models.document.reading import Pivot
+from models.document.text import joined
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import RoadInput, track_width
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
-from sim.report.scope import change_text, joined
+from sim.report.scope import change_text
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
@@ -55,6 +56,14 @@ class Ride:
     events: str
 
 
+MEASURED, PREDICTED = (
+    Field[Ride]("MuJoCo", lambda one: one.measured, ".4g"),
+    Field[Ride]("predicted", lambda one: one.predicted, ".4g"),
+)
+LIFTED = Field[float]("lift-off", float, ".2f", 100.0, unit="%")
+IRI, IRI_SPREAD = Field[float]("IRI", float, ".3g"), Field[float]("spread", float, ".2g")
+
+
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
     """Every controller over every class."""
     columns: tuple[Field[Ride], ...] = (
@@ -62,20 +71,20 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, St
         Field("controller", lambda one: one.controller),
         Field("metric", lambda one: one.metric),
         Field("unit", lambda one: one.unit),
-        Field("MuJoCo", lambda one: one.measured, ".4g"),
-        Field("predicted", lambda one: one.predicted, ".4g"),
+        MEASURED,
+        PREDICTED,
         Field("road to road", lambda one: one.spread / one.predicted if one.predicted else None, _spread),
         Field("lift-off", lambda one: one.events),
     )
     roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
-    caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
+    caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m, whatever the vehicle."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
     rough = Table("roads", caption, headings, roads, detail="full")
     ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
-    caption = "Every metric of the ride in MuJoCo, class by class; below, what is predicted, and lift-off."
+    caption = "Metrics of the ride in MuJoCo by road class; below, predicted values and lift-off."
     table = Table.of("ride", caption, columns, ordered, words=4, pivot=pivot)
-    return Document("Ride over random roads", (*notes(ride_text(vehicle)), ride_figure(rides, style), table, rough))
+    return Document("Ride over random roads", (*notes(*ride_texts(vehicle)), ride_figure(rides, style), table, rough))
 
 
 def _spread(share: float) -> str:
@@ -87,33 +96,29 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
     distance, width = SPEED * WINDOW, track_width(vehicle)
     roughness = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
     which = next(i for i, one in enumerate(roughness[0]) if one.name == ("mean" if width else "left"))
-    first, driven = roughness[0][which], [each[which].iri for each in roughness]
-    expected = f"{first.expected:.3g} +- {first.spread:.2g}" if first.expected is not None else "-"
-    return name, "mean of both" if width else "one", expected, ", ".join(f"{iri:.3g}" for iri in driven)
+    first, driven = roughness[0][which], ", ".join(IRI.digits(each[which].iri) for each in roughness)
+    expected = "-" if first.expected is None else f"{IRI.digits(first.expected)} +- {IRI_SPREAD.digits(first.spread)}"
+    return name, "mean of both" if width else "one", expected, driven
 
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
     """Every metric over the classes: lines are predicted, points MuJoCo."""
-    names = tuple(dict.fromkeys(one.controller for one in rides))
-    places = {name: float(k) for k, name in enumerate(CLASSES)}
+    by_metric: dict[tuple[str, str], dict[str, list[Ride]]] = {}
+    for one in rides:
+        by_metric.setdefault((one.metric, one.unit), {}).setdefault(one.controller, []).append(one)
+    ticks = tuple(float(k) for k in range(len(CLASSES)))
     panels = []
-    for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
+    for (metric, unit), by_name in by_metric.items():
         curves = []
-        for name in names:
+        for name, some in by_name.items():
             look = style[name]
-            some = [one for one in rides if (one.controller, one.metric) == (name, metric)]
-            x, predicted, measured = (
-                np.array([(places[one.road_class], one.predicted, one.measured) for one in some], dtype=float).reshape(-1, 3).T
-            )
-            seen = f"{name}, MuJoCo"
-            if some and not np.isfinite(predicted).any():  # a law in Python
-                curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=seen))
-                continue
-            curves.append(Curve(x, predicted, name if len(some) else "", look.color, look.dash))
-            curves.append(Curve(x, measured, name if len(some) else "", look.color, "none", look.marker, name=seen))
-        label = f"{metric} [{unit.replace('s2', 's²')}]" if unit != "-" else f"{metric} [of the static load]"
+            x = np.array([float(CLASSES.index(one.road_class)) for one in some])
+            predicted, measured = (np.array([one.predicted for one in some]), np.array([one.measured for one in some]))
+            if np.isfinite(predicted).any():  # not of a law in Python
+                curves.append(Curve(x, predicted, name, look.color, look.dash))
+            curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
+        label = f"{metric} [{'of the static load' if unit == '-' else unit.replace('s2', 's²')}]"
         ends = (-0.3, len(CLASSES) - 0.7)
-        ticks = tuple(places.values())
         panels.append(
             Panel(metric, "road class", label, tuple(curves), ylog=True, xticks=ticks, xnames=tuple(CLASSES), xlim=ends)
         )
@@ -121,34 +126,33 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
         f"Ride over roads of the classes {CLASSES[0]}, very good, to {CLASSES[-1]}, poor, at {SPEED:g} m/s: lower is better. "
         f"Lines: predicted from the roads' spectrum. Markers: MuJoCo, {len(SEEDS)} roads each."
     )
-    return Figure(
-        "ride", title, tuple(panels), columns=2 if len(panels) <= 4 else 3 if len(panels) <= 9 else 4, finding=_best_ride(rides)
-    )
+    return Figure("ride", title, tuple(panels), min(len(panels), 2 if len(panels) <= 4 else 3), finding=_best_ride(rides))
 
 
 def _best_ride(rides: Sequence[Ride]) -> str:
-    """Returns a sentence on the softest ride over the class `AVERAGE`, or an empty one without a choice."""
+    """Returns a sentence on the smallest acceleration over the class `AVERAGE`, or an empty one without a choice."""
     some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
     if len(some) < 2:
         return ""
     least = min(some, key=lambda one: one.measured)
     passive = next((one.measured for one in some if one.controller == PASSIVE), math.nan)
-    size = f"{least.measured:.3g} {least.unit}{change_text(least.measured, passive)}"
-    return f"{as_name(least.controller)} rides best over roads of class {AVERAGE}: {size}."
+    size = f"{MEASURED.cell(least)} {least.unit}{change_text(least.measured, passive)}"
+    return f"{as_name(least.controller)} has the smallest {least.metric} over roads of class {AVERAGE}: {size}."
 
 
-def ride_text(vehicle: Vehicle) -> str:
+def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     """Describes the table of ride, and the parts that its predictions leave out."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
-    left_out = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
+    without = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
+    curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.is_curved
     return (
-        f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
-        "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
-        "time that a tyre is off one of these roads. Predicted is from the road's spectrum through the sampled linear loop"
-        f"{', with the line in place of every curve that does the same on average' if vehicle.is_curved else ''}"
-        f"{f', which leaves out {left_out}' if left_out else ''}. Both are roots of mean squares, over the roads driven and over "
-        "all roads; road to road is by how much one such road differs from that, one standard deviation, so MuJoCo's differs by "
-        "half of it. Runs that diverged, by the car or by the states of a law alone, or squeezed a tyre flat are left out."
+        f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
+        "Weighted is the rms acceleration of ISO 2631-1, Wk. Dynamic load is the rms tyre force over its static value.",
+        f"Predictions use the road's spectrum and the sampled linear loop{f', without {without}' if without else ''}.{curved}",
+        "Values are root mean squares: in MuJoCo over the roads driven, predicted over all roads of the class. 'Road to road' is "
+        "the standard deviation between such roads; MuJoCo's value differs by about half of it.",
+        "Lift-off is the largest share of time for which a tyre leaves one of these roads. A run is omitted if it diverges, "
+        "overflows the states of a law, or compresses a tyre fully.",
     )
 
 
@@ -203,7 +207,7 @@ class OverRoads:
             road = self.roads[runs.start]
             expected = expect(ideal, controller, road.spectrum, self.timestep, WINDOW) if linear else None
             lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
-            events = f"{100 * lifted:.2f} %" if lifted else "none"
+            events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():
                 away = bool(self.physics.ran_away[runs].any())
                 broken = "flat, diverged or of an overflowing law" if away else "flat or diverged"

@@ -241,9 +241,13 @@ def percents(share: float) -> str:
     return f"{size:.0f}" if size >= 1 else f"{size:.1g}"
 
 
+def change(value: float | None, passive: float | None) -> str:
+    """Returns the change from passive, as in −22 %; empty if a number is missing, passive's is zero, or both are equal."""
+    share = value / passive - 1 if value is not None and passive else math.nan
+    return f"{'+' if share > 0 else '−'}{percents(share)} %" if LEAST <= abs(share) < math.inf else ""
+
+
 def change_text(value: float, passive: float) -> str:
-    """Returns a comma and by how much a number is below or above passive's; empty if either is missing or zero, or if equal."""
-    if not (math.isfinite(value) and math.isfinite(passive) and passive > 0):
-        return ""
-    share = value / passive - 1
-    return f", {percents(share)} % {'above' if share > 0 else 'below'} {as_name(PASSIVE)}" if abs(share) >= LEAST else ""
+    """Returns the change from passive in brackets, for a sentence; empty without one."""
+    text = change(value, passive)
+    return f" ({text} from {as_name(PASSIVE)})" if text else ""

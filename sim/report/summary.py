@@ -5,27 +5,31 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.printed import as_name, cell
+from models.common.printed import as_name
 from models.document.document import Document, Table
 from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
+from models.document.reading import Pivot
 from models.vehicle.names import PASSIVE
-from sim.report.best import DIVE, headline, requirements_table
+from sim.report.best import DIVE, NORM
 from sim.report.headline import unclaimed
 from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
-from sim.report.scope import LEAST, Scope, percents
+from sim.report.scope import NAME, Scope, change
+from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
 from sim.runs.report import verdict
 from sim.runs.run import Run
-from sim.studies.ride.standing import LOAD, MEASURES, RIDE, TRAVEL, Standing, best, compared_columns, digits
+from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standing, best, compared_table, headline
 from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller
 
-PANELS = {  # of the first figure, by measure
+PANELS = {  # of the first figure
     RIDE: "Acceleration of the body",
     TRAVEL: "Travel of the suspension",
     LOAD: "Change of the tyre load",
-    "force_peak": "Largest force",
+    FORCE: "Largest force",
 }
+UNTIL = Field[float]("linear until", float, ".3g", unit="s")
+HEIGHT = Field[float]("height", float, ".3g", unit="m")
 
 
 def first_screen(
@@ -39,36 +43,55 @@ def first_screen(
         where: roads of the comparison, in words.
     """
     wanted = requirements_table(scope, runs)
-    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, where))
-    return Document("", (*tables, compared_figure(scope, compared, dive, where)))
+    dives: tuple[Field[Standing], ...] = (DIVE.of(lambda one: dive.get(one.controller)),) if dive else ()
+    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, where, dives))
+    return Document("", (*tables, compared_figure(scope, compared, dives, where)))
 
 
-def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[str, float], where: str) -> Figure:
+def compared_figure(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], where: str) -> Figure:
     """Returns bars of ride, travel, tyre load, force and dive of every controller in MuJoCo."""
     names = tuple(one.controller for one in compared)
     look = {**styles((PASSIVE,)), **scope.styles}
-    colors = tuple(look[name].color for name in names)
-    marked = best(compared)
+    colors, marked = tuple(look[name].color for name in names), best(compared)
+    passive = next((one for one in compared if one.controller == PASSIVE), None)
     panels = []
-    for measure in (one for one in MEASURES if one.key in PANELS):
-        found = {one.controller: one.values[measure.key] for one in compared}
-        if not any(found.values()):
+    for quantity, title in {**PANELS, **dict.fromkeys(dives, "Dive under 0.5 g of braking")}.items():
+        values = [quantity.value(one) for one in compared]
+        if not any(values):
             continue
-        words, lengths = [], []
-        for name in names:
-            value = found[name]
-            lengths.append(math.nan if value is None else value * measure.scale)
-            size = "-" if value is None else digits(value * measure.scale)
-            change = _against(value, found.get(PASSIVE) or math.nan) if measure.against and value is not None else ""
-            words.append(f"{size}{change}{' ★' if name in marked[measure.key] else ''}")
-        bars = Bars(names, np.array(lengths, dtype=float), tuple(words), colors)
-        panels.append(Panel(PANELS[measure.key], measure.heading, "", (), bars))
-    if dive:
-        values = np.array([dive.get(name, math.nan) for name in names])
-        words = tuple(f"{value:.2g}°" if math.isfinite(value) else "-" for value in values.tolist())
-        panels.append(Panel("Dive under 0.5 g of braking", "largest dive [deg]", "", (), Bars(names, values, words, colors)))
-    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are against {as_name(PASSIVE)}."
+        usual = quantity.value(passive) if passive is not None and quantity in CHANGES else None
+        words = tuple(
+            f"{quantity.cell(one)} {change(value, usual)}".rstrip() + " ★" * (one.controller in marked.get(quantity.key, ()))
+            for one, value in zip(compared, values, strict=True)
+        )
+        lengths = quantity.scale * np.array([math.nan if value is None else value for value in values])
+        panels.append(Panel(title, quantity.title, "", (), Bars(names, lengths, words, colors)))
+    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are changes from {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
+
+
+def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
+    """Returns the goals and limits of the vehicle file, and who keeps them; None without any.
+
+    Goals are compared with what is proved, limits with the run over the road.
+    """
+    rows = []
+    for one in scope.controllers:
+        for goal in one.specifications:
+            if goal.at_most is not None:
+                value = Field[float]("value", float, ".4g", unit=goal.unit)
+                what = f"{goal.what.replace('_', ' ')}, at most {goal.at_most:.6g} {goal.unit}".rstrip()
+                rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {value.text(goal.value)}"))
+    road = "road" if scope.own_road is not None else "bump"
+    for run in runs:
+        ended = reached(scope.vehicle, run.physics)
+        for end in (one for one in (BUMP_STOP, SATURATION) if one.thresholds(scope.vehicle)):
+            when = float(ended[REGIME_ENDS.index(end)])
+            kept = "✓ not reached" if math.isinf(when) else f"✗ at {UNTIL.text(when)}"
+            rows.append((f"{end.name}, not over the {road}", run.controller.name, kept))
+    caption = "Requirements of the vehicle file, met (✓) or not met (✗). A goal is met if the proved value is within it."
+    pivot = Pivot(("requirement",), "controller", ("result",))
+    return Table("requirements", caption, ("requirement", "controller", "result"), tuple(rows), 2, pivot) if rows else None
 
 
 def trust_section(
@@ -77,23 +100,19 @@ def trust_section(
     """Returns the section on the claims about every controller, and up to which bump they are true."""
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     roughness, label, unit = _roughness(scope, runs, rides)
-    wrong = unclaimed(ends, runs)
-    stated = dict.fromkeys(wrong, "none claimed")
-    for one, end in ends:
-        if one.name not in wrong:
-            stated[one.name] = "at any height" if end is None else _metres(end)
-    neither = (None, None)
+    wrong, neither = unclaimed(ends, runs), (None, None)
+    stated = {one.name: "at any height" if end is None else _height(end) for one, end in ends}
+    stated |= dict.fromkeys(wrong, "none claimed")
     columns: tuple[Field[Run], ...] = (
-        Field("controller", lambda run: run.controller.name),
-        Field("H-infinity norm", lambda run: norms.get(run.controller.name), ".4g"),
+        NAME.of(lambda run: run.controller),
+        NORM.of(lambda run: norms.get(run.controller.name)),
         Field(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
         Field("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
         Field(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
         Field(f"over {scope.where}", lambda run: verdict(run).text),
     )
-    caption = "Norm and prediction for each controller, MuJoCo's result, and the height of the bump up to which analysis is true."
-    table = Table.of("summary", caption, columns, runs)
-    return Document("Verification", (table,))
+    caption = "Predicted and simulated ride of each controller, and the height of the bump up to which analysis is true."
+    return Document("Verification", (Table.of("summary", caption, columns, runs),))
 
 
 def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: str) -> str:
@@ -105,20 +124,6 @@ def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: s
     return f"MuJoCo, {where}{absent}"
 
 
-def compared_table(compared: Sequence[Standing], dive: Mapping[str, float], where: str) -> Table:
-    """Returns the table of who is best at what, with the dive [deg] where there is one."""
-    columns, legend = compared_columns(compared)
-    cells: dict[str, Sequence[str]] = {"controller": [one.controller for one in compared]}
-    for column in columns:
-        cells[column.measure.heading] = [number.rstrip() for number in column.numbers]
-        if column.changes is not None:
-            cells[f"{column.measure.title}, %"] = [change or "-" for change in column.changes]
-    if dive:
-        cells[DIVE] = [cell(dive.get(one.controller), ".2g") for one in compared]
-    caption = f"Who is best at what, at the vehicle's worst point. {legend}{where}."
-    return Table("compared", caption, tuple(cells), tuple(zip(*cells.values(), strict=True)))
-
-
 def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str]:
     """Returns the body's acceleration with stable loops, predicted and in MuJoCo: of the ride if there is one, else over the
     bump.
@@ -126,8 +131,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
     if rides:
         metric, unit = rides[0].metric, rides[0].unit
         some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, metric)]
-        values = {one.controller: (one.predicted, one.measured) for one in some}
-        return values, metric, unit.replace("s2", "s²")
+        return {one.controller: (one.predicted, one.measured) for one in some}, metric, unit.replace("s2", "s²")
     vehicle = scope.vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
     values = {
@@ -138,18 +142,9 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
         for run in runs
         if not scope.unstable(run.controller)
     }
-    unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return values, f"{name.replace('_', ' ')}, rms", unit
+    return values, f"{name.replace('_', ' ')}, rms", vehicle.kind.signal(name).unit.replace("s2", "s²")
 
 
-def _metres(end: RegimeEnd) -> str:
+def _height(end: RegimeEnd) -> str:
     """Returns the height at which a linear regime ends in MuJoCo, with a remark if it is not the predicted one."""
-    return f"{end.found:.3g} m" if end.confirmed else f"NOT as predicted, {end.predicted:.3g} m"
-
-
-def _against(value: float, passive: float) -> str:
-    """By how much it is more or less than the passive suspension's."""
-    if not (math.isfinite(value) and math.isfinite(passive) and passive > 0) or value == passive:
-        return ""
-    share = value / passive - 1
-    return f" {'+' if share > 0 else '−'}{percents(share)} %" if abs(share) >= LEAST else ""
+    return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

@@ -139,12 +139,12 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
     assert all(metric["mujoco"] is None and metric["linear"] is None for metric in run["metrics"].values())
     assert main(arguments) == 0
     out = capsys.readouterr().out
-    assert f"no metrics of this run: flat tyre at {run['broke_off']['at']:.4g} s" in out
+    assert f"This run has no metrics: flat tyre at {run['broke_off']['at']:.4g} s." in out
     assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
 
 
 def test_what_metrics_rest_on_is_said(capsys):
-    """The output shows how settled the run is when measuring begins, every metric as in `--json`, and which are approximate."""
+    """The output shows how settled the run is when measuring begins, and which metrics are approximate."""
     arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]
     _, result = run_json(capsys, *arguments)
     (run,) = result["runs"]
@@ -155,10 +155,15 @@ def test_what_metrics_rest_on_is_said(capsys):
     main([*arguments, "-v"])
     table = capsys.readouterr().out
     assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in prose(table)
+    assert {line.split()[0] for line in table.splitlines() if "~" in line} == {"vdv", "mtvv", "crest", "peak", "~"}
+    for name, metric in run["metrics"].items():
+        assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
     main(arguments)
     ride = run["metrics"]["sprung_acceleration_weighted"]
-    expected = f"passive {ride['expected']:.3g} +- {ride['spread']:.2g} "
-    assert f"ride expected over all such roads [m/s2], +- by road: {expected}" in prose(capsys.readouterr().out) + " "
+    expected = f"passive {ride['expected']:.3g} +- {ride['spread']:.3g}."
+    assert f"Ride expected over all such roads [m/s²], with the standard deviation by road: {expected}" in prose(
+        capsys.readouterr().out
+    )
 
 
 def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
@@ -167,8 +172,8 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs", "-v"])
     out = prose(capsys.readouterr().out)
-    assert "sampled and expected numbers are for a vehicle without bump stops" in out
-    assert "MuJoCo's numbers include the noise of the measurements, sampled and expected ones do not" in out
+    assert "Sampled and expected values are for a vehicle without bump stops" in out
+    assert "Only MuJoCo's values include the noise of the measurements." in out
 
 
 @pytest.mark.parametrize(("height", "shares"), [(0.0, False), (0.1, True)])

@@ -379,7 +379,7 @@ def test_lines_can_be_told_from_the_ground():
 def test_numbers_of_a_column_are_aligned():
     """A column has one number of decimals where each number keeps three digits, else points align; what is rounding is 0."""
     assert aligned(["15.37", "5.564", "0"]) == ["15.37", "5.56", "0\u2008\u2007\u2007"]
-    assert aligned(["0.0481*", "0.565"]) == ["0.0481*", "0.565\u2007\u2004"]
+    assert aligned(["0.0481*", "0.565", "0*"]) == ["0.0481*", "0.565\u2004\u2007", "0*\u2008" + 4 * "\u2007"]
     assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "0\u2008\u2007", "-"]
     assert aligned(["1.4e-03", "2.0e-05"]) == ["1.4·10⁻³", "2.0·10⁻⁵"]
     assert aligned(["12", "3.25", "none"]) == ["12", "3.25", "none"]

@@ -196,7 +196,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
     limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
-    said = rf"none of 12 is within {limits}; {name}.* is nearest, and misses peak_travel by \S+ m \(.* %\)"
+    said = rf"{name}.* is nearest to {limits}, and misses peak_travel by \S+ m \(.* %\).*None of 12 is within"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
 
@@ -214,8 +214,8 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     out, complaint = capsys.readouterr()
     assert "no run of the campaign has both ride and tyre load; there is nothing to draw" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
-    assert "no ride to compare: of every controller a run broke off" in out
-    assert "none of 2 has ride of all runs, as some broke off; nothing is best" in prose(out)
+    assert "There is no ride to compare: a run of every controller broke off." in out
+    assert "None of 2 has ride of all runs, as some broke off." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 
@@ -230,7 +230,7 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
     for _ in range(2):  # it replaces what it wrote
         assert main([str(folder / "campaign.toml"), *options]) == 0
     out = prose(capsys.readouterr().out)
-    assert "the best force_peak has passive: force_peak 0; of 12" in out
+    assert "passive has the best force_peak: force_peak 0. There are 12 candidates." in out
     assert "variants that are best at nothing are left out" in out
     lines = (folder / "saved.toml").read_text().splitlines()
     added = lines[len(CAR.rstrip().splitlines()) + 1 :]
@@ -329,7 +329,7 @@ def test_every_variant_is_a_point(campaign, capsys):
     assert main([str(folder / "campaign.toml"), "--json"]) == 0
     entries = json.loads(capsys.readouterr().out)["summary"]
     read = read_campaign(folder / "campaign.toml")
-    figure = trade_off(Plan(read, {"car.toml": {}}), entries)
+    figure = trade_off(Plan(read, {"car.toml": {}}), entries, {})
     assert figure is not None
     panels = figure.panels
     assert {entry["controller"] for entry in entries if "variants" in entry} == {"hybrid", "sky"}

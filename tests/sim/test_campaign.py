@@ -331,7 +331,7 @@ def test_summary(begun, small, capsys):
         left = {name: sum(row["ended_by"] is not None for row in some) for name, some in of.items()}
         order = sorted(of, key=lambda name: left[name] / len(of[name]))
         told = ", ".join(f"{left[name]} of {len(of[name])} of {name}" for name in order if left[name])
-        assert f"{car}: runs that left the linear regime: {told or 'none'}" in prose(short)
+        assert f"{car}: Runs that left the linear regime: {told or 'none'}." in prose(short)
 
 
 def test_who_is_best_over_all_runs(begun, small):

@@ -92,7 +92,7 @@ def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
             assert {row[name] for name in row if name in compared or name.startswith(("linear_", "expected_"))} == {None}
         assert linear["linear_error"] is not None
     for name in ("mine", "many"):
-        assert f"{name} is a law in Python, {name}.py:step: no linear claim, so nothing is predicted of it" in said
+        assert f"{name} is a law in Python, {name}.py:step: linear analysis does not apply" in said
     assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--json"]) == 0
     for entry in json.loads(capsys.readouterr().out)["summary"]:
         own = entry["controller"] != "linear"

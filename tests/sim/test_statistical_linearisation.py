@@ -21,6 +21,7 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
+from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
@@ -158,7 +159,7 @@ def test_where_second_order_is_not_enough_that_is_said():
     assert line.remainder is None
     assert line_object(vehicle, line)["second_order"] is False
     said = " ".join(line_words(vehicle, line))
-    assert "without the remainders of the curves" in said
+    assert "without second-order remainders" in said
 
 
 @pytest.mark.attack
@@ -173,15 +174,14 @@ def test_it_says_so(tmp_path, capsys, monkeypatch):
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     line = run["expected_line"]
     assert all(one["approximate"] for one in run["metrics"].values() if one["expected"] is not None)
-    assert "so they are approximate: rms and dynamic load to about 1 %" in said
+    assert "Rms and dynamic load are exact to 1 %" in said
     at_rest = read_vehicle(tmp_path / "mine.toml").parameters
-    assert {*line["slopes"]} == {*AXLES}
-    assert line["second_order"] is True
-    assert "with the remainders of the curves to second order" in said
+    assert ({*line["slopes"]}, line["second_order"]) == ({*AXLES}, True)
+    assert "with second-order remainders" in said
     for name, slope in line["slopes"].items():
-        assert f"{name} {slope:.4g}, not {at_rest[name]:.4g} as at rest" in said
+        assert f"{name} {digits(slope)}, in equilibrium {digits(at_rest[name])}" in said
     for name, mean in line["mean"].items():
-        assert f"{name} is {1e3 * mean:.3g} mm on average" in said
+        assert f"{name} is {digits(1e3 * mean)} mm on average" in said
 
 
 def test_positive_part_of_a_product():

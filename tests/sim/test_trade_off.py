@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from sim.campaign.plan import Plan
 from sim.campaign.summary import CONSTANT, trade_off
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import dynamic_load
+from sim.studies.ride.standing import KEYS, Standing
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of, refused
 
@@ -49,7 +51,7 @@ def test_points_are_the_numbers_of_the_table(drawn, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["picture"] == str(picture)
     assert picture.read_text(encoding="utf-8").count("constant dampers, expected") >= 1
-    figure = trade_off(plan, result["summary"])
+    figure = trade_off(plan, result["summary"], {})
     assert figure is not None
     assert [panel.title for panel in figure.panels] == ["iso8608:class=B at 20 m/s", "bump at 20 m/s"]
     for panel, road in zip(figure.panels, ("iso8608:class=B", "bump"), strict=True):
@@ -82,29 +84,22 @@ def test_bars_are_two_standard_errors():
 
 
 def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(drawn):
-    """The finding counts the panels in which a controller is best, by vehicle; the title names controllers without a point."""
+    """The finding is who is best with each vehicle; the title names controllers without a point."""
     _, plan = drawn
     cars = {name: replace(read_vehicle("quarter_car"), text="") for name in ("one", "two")}
     nothing: dict[str, dict] = {name: {} for name in cars}
     several = replace(plan.campaign, vehicles=cars, samples=nothing, variants=nothing)
-    numbers = {  # load and ride of passive and I, by vehicle and road; sky has none
-        ("one", "iso8608:class=B"): ((0.1, 2.0), (0.2, 1.0)),
-        ("one", "bump"): ((0.3, 2.0), (0.2, 1.0)),
-        ("two", "iso8608:class=B"): ((0.1, 2.0), (0.2, 3.0)),
-        ("two", "bump"): ((0.1, 2.0), (0.2, 3.0)),
-    }
     entries = [
         {"vehicle": vehicle, "controller": name, "road": road, "speed": 20.0}
-        | {key: {"rms": rms, "standard_error": 0.01} for key, rms in (("load", load), ("ride", ride))}
-        for (vehicle, road), every in numbers.items()
-        for name, (load, ride) in zip(("passive", "I", "sky"), (*every, (None, None)), strict=True)
+        | {key: {"rms": rms, "standard_error": 0.01} for key in ("load", "ride")}
+        for vehicle in cars
+        for road in ("iso8608:class=B", "bump")
+        for name, rms in (("passive", 0.1), ("I", 0.2), ("sky", None))
     ]
-    figure = trade_off(Plan(several, nothing), entries)
+    best: dict[Any, Any] = {name: Standing(name, dict.fromkeys(KEYS, size)) for name, size in (("I", 1.0), ("passive", 2.0))}
+    figure = trade_off(Plan(several, nothing), entries, {name: best for name in cars})
     assert figure is not None
-    assert figure.finding == (
-        "one: rides best: I in 2 of 2; holds the road best: passive in 1 of 2, I in 1 of 2; "
-        "two: passive rides best and holds the road best"
-    )
+    assert figure.finding == "one: `I` rides and holds the road best; two: `I` rides and holds the road best"
     assert "no run has both numbers: sky, one; sky, two." in figure.title
 
 
@@ -119,7 +114,7 @@ def test_the_line_is_of_cars_with_those_dampers(drawn):
         {"vehicle": "quarter_car_semi_active", "controller": "passive", "road": "iso8608:class=B", "speed": 20.0}
         | {"load": {"rms": 0.1}, "ride": {"rms": 1.0}}
     ]
-    figure = trade_off(plan, entries)
+    figure = trade_off(plan, entries, {})
     assert figure is not None
     (panel,) = figure.panels
     curves = {curve.label: curve for curve in panel.curves}

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.document.text import text_lines
 from models.laws.linear import LinearLaw
 from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -16,7 +17,7 @@ from sim.physics.run_blocks import DIVERGED
 from sim.physics.simulate import MonitoredBatch
 from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.run_metrics import measure_run, metric_lines
+from sim.studies.ride import run_metrics
 from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import describe
 from synth import design_controllers as design
@@ -116,13 +117,13 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert run.broke_off is not None
     name, when = run.broke_off
     assert name == "law overflow"
-    before = run.physics.until(when)
-    assert np.all(np.isfinite(before.values))
-    assert np.abs(before["controller_1"][-1]) > 1e300
-    found = measure_run(run, first=100)
-    text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metric_lines(run, found, 0.1, 0.6, ())])
+    assert np.all(np.isfinite(run.physics.until(when).values))
+    assert np.abs(run.physics.until(when)["controller_1"][-1]) > 1e300
+    found = run_metrics.measure_run(run, first=100)
+    metrics = text_lines(run_metrics.describe(run, found, 0.1, 0.6, ()), "full")
+    text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metrics])
     assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
-    assert f"no metrics of this run: law overflow at {when:.4g} s" in text
+    assert f"This run has no metrics: law overflow at {when:.4g} s." in text
     assert "diverge" not in text
     assert "no vehicle" not in text
     assert (when, "law overflow") in events(run)

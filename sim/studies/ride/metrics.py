@@ -109,6 +109,11 @@ class Metric:
     source: str
     what: str
 
+    @property
+    def words(self) -> str:
+        """The name in words."""
+        return self.name.replace("_", " ")
+
 
 @dataclass(frozen=True)
 class Points:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Shown, finite, percent, table, wrapped
-from models.document.field import Field, cells, json_object, titles
+from models.common.printed import Shown, as_name, finite, percent
+from models.document.document import Document, Table, notes
+from models.document.field import Field, json_object
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
@@ -28,11 +29,13 @@ from sim.studies.ride.expected import (
     settling_time,
 )
 from sim.studies.ride.metrics import measure, metrics_of, points, static_angles
+from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
 from synth.controller.controller import AnyController, Controller
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road that the first wheel passes, defined at 80 km/h whatever the vehicle's speed"
+NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
@@ -84,12 +87,17 @@ class MetricComparison:
     approximate: bool
 
 
+MUJOCO = Field[MetricComparison]("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco")
+EXPECTED = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", key="expected")
+ANGLE = Field[float | None]("angle", lambda one: one if one is None or abs(one) > NO_ANGLE else 0.0, ".3g")
+RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, digits, unit="m/s²")
+SPREAD = Field[MetricComparison]("+- by road", lambda one: one.spread, ".4g", key="spread")
 METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
-    Field("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco"),
+    MUJOCO,
     Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
-    Field("expected", lambda one: one.expected, ".4g", key="expected"),
-    Field("+- by road", lambda one: one.spread, ".4g", key="spread"),
+    EXPECTED,
+    SPREAD,
 )
 
 
@@ -117,11 +125,7 @@ class RunMetrics(Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
         rows = {
-            name: ", ".join(
-                f"{what} {value:.4g} {one.unit}"
-                for what, value in (("MuJoCo", one.mujoco), ("sampled", one.sampled), ("expected", one.expected))
-                if value is not None
-            )
+            name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
         }
         return f"metrics of a run: {len(rows)}", {name: text or "none, as the run broke off" for name, text in rows.items()}
@@ -213,118 +217,95 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     return RunMetrics(metrics, transient, expected.error if expected else None, expected.line if expected else None, static)
 
 
-def beside(vehicle: Vehicle) -> list[str]:
-    """Describes the effects in MuJoCo's metrics that sampled and expected ones leave out."""
-    lines = []
-    if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
-        lines.append("sampled and expected numbers are for a vehicle without bump stops and force limits")
-    if blur := vehicle.implementation.noise_text:
-        lines.append(f"MuJoCo's numbers include the {blur} of the measurements, sampled and expected ones do not")
-    return lines
+def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> Document:
+    """Returns all metrics of a run and its road.
+
+    Args:
+        start, end: times between which the metrics are measured [s].
+        roughness: every IRI of the road that the run passes.
+    """
+    vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
+    title = f"Metrics, measured from {start:.4g} to {end:.4g} s"
+    random = any(one.expected is not None for one in metrics.metrics.values())
+    if run.broke_off is not None and not random:
+        return Document(title, notes(*about))
+    rows = [(one.source, one.what, metrics.metrics[one.name]) for one in metrics_of(vehicle, run.road.loaded)]
+    if any(one.iri or one.expected for one in roughness):  # a flat road has none
+        own = [(_name(one, roughness), (one.iri, one.iri, one.expected, one.spread)) for one in roughness]
+        rows = [*(("road", name, MetricComparison(UNIT, *numbers, False)) for name, numbers in own), *rows]
+        about.append(f"{ABOUT_IRI}.")
+    elif without := why_none(run.road):
+        about.append(without)
+    marked = replace(EXPECTED, value=lambda one: f"{'~' if one.approximate and one.expected else ''}{EXPECTED.cell(one)}")
+    columns: tuple[Field[tuple[str, str, MetricComparison]], ...] = (
+        Field("signal", lambda row: row[0]),
+        Field("metric", lambda row: row[1]),
+        *(one.of(lambda row: row[2]) for one in (*METRIC[:3], *((marked, SPREAD) if random else ()))),
+    )
+    return Document(title, (Table.of("metrics", title, columns, rows, words=2), *notes(*about)))
 
 
-def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
-    """Returns the metrics of a run and its road as a table, with notes below."""
-    measured, notes = metrics.metrics, broken_lines(run)
-    if metrics.settled is not None:
-        notes.append(
-            f"when measuring begins, the variance of {metrics.settled.signal} is {percent(metrics.settled.share)} of its final "
-            "value; every other signal in this table is closer"
+def _basis(run: Run, metrics: RunMetrics) -> list[str]:
+    """Returns sentences on the basis of the expected values, and on what the linear values leave out."""
+    vehicle, said = run.vehicle, list[str]()
+    if (settled := metrics.settled) is not None:
+        said.append(
+            f"When measuring begins, the variance of {settled.signal} is {percent(settled.share)} of its final value. All other "
+            "signals are closer."
         )
     if metrics.error is not None:
-        notes.append(
-            "~ is approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv, the fourth root of a mean, up to 8 %; crest "
-            "is from 7 % too low to 14 % too high; for short runs or light damping the +- is up to 45 % too large"
+        said.append(
+            "~ is approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv up to 8 %. Crest is from 7 % too low to 14 % "
+            "too high. For short runs or light damping the +- is up to 45 % too large."
         )
-    notes += line_words(run.vehicle, metrics.line) if metrics.line is not None else []
+    said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:
-        rests = ", ".join(f"{name} {value:.4g} deg" for name, value in metrics.static.items())
-        lacking = left_out(run.vehicle.parameters, metrics.static)
-        notes.append(
-            f"under the final loads the linear loop rests at {rests}; pitch is positive nose down, roll right side down"
-            + (f"; {lacking}" if lacking else "")
-        )
-    notes += beside(run.vehicle)
+        rests = ", ".join(f"{name} {MUJOCO.digits(value)} deg" for name, value in metrics.static.items())
+        said.append(f"Under the final loads the linear loop rests at {rests}. Pitch is positive nose down, roll right side down.")
+        said += [f"{lacking[0].upper()}{lacking[1:]}." for lacking in [left_out(vehicle.parameters, metrics.static)] if lacking]
+    if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
+        said.append("Sampled and expected values are for a vehicle without bump stops and force limits.")
+    if blur := vehicle.implementation.noise_text:
+        said.append(f"Only MuJoCo's values include the {blur} of the measurements.")
     if metrics.error is not None and metrics.error > EXACT:
-        notes.append(
-            f"expected values may be off by {min(metrics.error, 1.0):.1g}: a resonance is too narrow for the lines of this road, "
-            "or for the integral over them"
+        said.append(
+            f"Expected values may be off by {min(metrics.error, 1.0):.1g}: a resonance is too narrow for the spectral lines of "
+            "this road, or for the integral over them."
         )
-    if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
-        return [f"  {note}" for note in notes]
-    random = any(one.expected is not None for one in measured.values())
-    shown = METRIC if random else METRIC[:-2]
-    rows: list[Sequence[str] | str] = [("", *titles(shown))]
-    source = ""
-    if any(one.iri or one.expected for one in roughness):  # a flat road has none
-        roads = [
-            (_name(one, roughness), MetricComparison(UNIT, one.iri, one.iri, one.expected, one.spread, False))
-            for one in roughness
-        ]
-        rows += ["road", *(_row(name, one, shown) for name, one in roads)]
-        notes.append(ABOUT_IRI)
-    elif without := why_none(run.road):
-        notes.append(without)
-    for metric in metrics_of(run.vehicle, run.road.loaded):
-        if metric.source != source:
-            rows.append(source := metric.source)
-        rows.append(_row(metric.what, measured[metric.name], shown))
-    return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
+    return said
 
 
-def expected_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
-    """Returns the ride that is expected of each run over all random roads of its kind; empty if a run has no expectation."""
-    lines = []
-    for run, of_run in zip(runs, measured, strict=True):
-        rides = [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
-        known = [(one.expected, one.spread) for one in rides if one.expected is not None]
-        if known:
-            mean, spread = max(known, key=lambda one: one[0])
-            lines.append(f"{run.controller.name} {mean:.3g}{f' +- {spread:.2g}' if spread is not None else ''}")
-    return (
-        wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(lines)}", hang=2)
-        if len(lines) == len(runs)
-        else []
-    )
-
-
-NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
-
-
-def broken_lines(run: Run) -> list[str]:
+def broken(run: Run) -> list[str]:
     """Returns a sentence on a run that broke off; empty for others."""
-    if run.broke_off is None:
-        return []
-    why, at = run.broke_off
-    return [f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless"]
+    return ["This run has no metrics: {} at {:.4g} s.".format(*run.broke_off)] if run.broke_off is not None else []
 
 
-def angle_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
-    """Returns a table of the body's largest angles under loads in MuJoCo, a row for each run; empty without loads."""
+def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
+    """Returns the largest angles of the body under loads, and the ride that is expected over all roads of a random kind."""
     angles = [
         {name: one.mujoco for name, one in of_run.metrics.items() if one.unit == "deg" and one.mujoco is not None}
         for of_run in measured
         if of_run.static is not None
     ]
-    names = max(angles, key=len, default={})
-    if not names:
-        return []
-    headings = [name.replace("_angle", "").replace("_", " ") for name in names]
-    rows = [
-        (run.controller.name, *(f"{of[name] if abs(of[name]) > NO_ANGLE else 0.0:.3g}" if of else "-" for name in names))
-        for run, of in zip(runs, angles, strict=False)
+    names, tables = max(angles, key=len, default={}), []
+    if names:
+        columns: list[Field[tuple[Run, Mapping[str, float]]]] = [Field("angles [deg]", lambda row: row[0].controller.name)]
+        for name in names:
+            label = name.replace("_angle", "").replace("_", " ")
+            columns.append(ANGLE.of(lambda row, name=name: row[1].get(name), label))
+        tables = [Table.of("angles", "Largest angles of the body.", columns, zip(runs, angles, strict=False))]
+    rides = [
+        [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
+        for run, of_run in zip(runs, measured, strict=True)
     ]
-    return ["", *table([("angles [deg]", *headings), *rows])]
-
-
-def _row(name: str, one: MetricComparison, columns: Sequence[Field[MetricComparison]]) -> tuple[str, ...]:
-    """Returns a row of the table of metrics; ~ marks approximate values, and an unknown spread is omitted."""
-    shown = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
-    if one.approximate and one.expected:
-        shown["expected"] = f"~{shown['expected']}"
-    if one.spread is None and "+- by road" in shown:
-        shown["+- by road"] = ""
-    return f"  {name}", *shown.values()
+    known = [max((one for one in some if one.expected is not None), key=EXPECTED.value, default=None) for some in rides]
+    each = [
+        f"{as_name(run.controller.name)} {RIDE.cell(one)}{f' +- {RIDE.digits(one.spread)}' if one.spread is not None else ''}"
+        for run, one in zip(runs, known, strict=True)
+        if one is not None
+    ]
+    said = f"Ride expected over all such roads [m/s²], with the standard deviation by road: {', '.join(each)}."
+    return Document("", (*tables, *notes(*([said] if each and len(each) == len(runs) else []))))
 
 
 def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:

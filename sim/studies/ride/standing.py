@@ -1,4 +1,4 @@
-"""Comparison of controllers, a line each: ride, travel, tyre load and force, relative to passive, with the best marked.
+"""Comparison of controllers, a row each: ride, travel, tyre load and force, with the change from passive, and the best marked.
 
 For a vehicle with several wheels, suspensions or actuators, each column has the worst one.
 """
@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import GAP, finite, table, wrapped
+from models.common.printed import GAP, wrapped
+from models.document.document import Table
+from models.document.field import Field, json_object
+from models.document.text import BEST, CHANGE, names_text, table_lines
 from models.suspension.bump_stops import SIDES
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
@@ -20,47 +23,12 @@ from sim.studies.ride.metrics import Metric, dynamic_load, metrics_of, off_groun
 
 
 @dataclass(frozen=True)
-class Measure:
-    """A column of the table.
-
-    Attributes:
-        key: name in JSON.
-        title, unit: heading on the terminal, two lines.
-        heading: heading on a page.
-        scale: factor from SI units to those of the table.
-        against: True if the change against passive is shown.
-        effort: True for forces, which passive does not have.
-    """
-
-    key: str
-    title: str
-    unit: str
-    heading: str
-    scale: float = 1.0
-    against: bool = False
-    effort: bool = False
-
-
-RIDE, TRAVEL, LOAD = "ride", "peak_travel", "dynamic_load"
-MEASURES = (
-    Measure(RIDE, "ride", "m/s2", "ride [m/s²]", against=True),
-    Measure(TRAVEL, "travel", "peak mm", "peak travel [mm]", 1e3, against=True),
-    Measure(LOAD, "tyre load", "dynamic", "dynamic load [-]", against=True),
-    Measure("off_ground", "off", "road %", "off the ground [%]", 100.0),
-    Measure("force_rms", "force", "rms N", "force, rms [N]", effort=True),
-    Measure("force_peak", "force", "peak N", "force, peak [N]", effort=True),
-    Measure("at_stops", "at", "stops %", "at stops [%]", 100.0),
-)
-KEYS = tuple(one.key for one in MEASURES)
-
-
-@dataclass(frozen=True)
 class Standing:
     """A row of the comparison: a controller's metrics on a road, in MuJoCo.
 
     Attributes:
         controller: name of the controller.
-        values: values by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
+        values: values by key of `FIELDS`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
@@ -86,6 +54,25 @@ class Standing:
         return f"{self.vehicle}:{self.name}".removeprefix(":")
 
 
+def digits(value: float) -> str:
+    """Returns a number with three significant digits, or more if it has more before the point."""
+    return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
+
+
+def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Standing]:
+    return Field(label, lambda one: one.values[key], digits, scale, key, unit)
+
+
+RIDE, TRAVEL = _of("ride", "ride", "m/s²"), _of("peak_travel", "peak travel", "mm", 1e3)
+LOAD, FORCE = _of("dynamic_load", "dynamic load [-]"), _of("force_peak", "force, peak", "N")
+FORCES = (_of("force_rms", "force, rms", "N"), FORCE)  # passive has none
+OFF, STOPS = _of("off_ground", "off the ground", "%", 100.0), _of("at_stops", "at stops", "%", 100.0)
+FIELDS = (RIDE, TRAVEL, LOAD, OFF, *FORCES, STOPS)
+CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
+MANY = 4  # names in a sentence
+KEYS = tuple(one.key for one in FIELDS)
+
+
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
     """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
@@ -106,9 +93,9 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
     forces = [name for name, *_ in where.actuators]
     return {
-        RIDE: tuple(f"{name}_weighted" for name in where.accelerations),
-        TRAVEL: tuple(f"{name}_peak" for name in where.suspensions),
-        LOAD: tuple(dynamic_load(name) for name in where.tyres),
+        RIDE.key: tuple(f"{name}_weighted" for name in where.accelerations),
+        TRAVEL.key: tuple(f"{name}_peak" for name in where.suspensions),
+        LOAD.key: tuple(dynamic_load(name) for name in where.tyres),
         "off_ground": tuple(off_ground(name) for name in where.tyres),
         "force_rms": tuple(f"{name}_rms" for name in forces),
         "force_peak": tuple(f"{name}_peak" for name in forces),
@@ -146,24 +133,36 @@ def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, 
     return standing(vehicle, controller, over if all(map(math.isfinite, over.values())) else {})
 
 
-def best(standings: Sequence[Standing]) -> dict[str, list[str]]:
+def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
 
     Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
     """
     names: dict[str, list[str]] = {}
-    for one in MEASURES:
-        compared = [each for each in standings if each.sound and not (one.effort and each.controller == PASSIVE)]
-        values = {each.label: value for each in compared if (value := each.values[one.key]) is not None}
-        shown = {name: digits(value * one.scale) for name, value in values.items()}
+    sound = [one for one in standings if one.sound]
+    for quantity in FIELDS:
+        compared = [one for one in sound if quantity not in FORCES or one.controller != PASSIVE]
+        values = {one.label: value for one in compared if (value := quantity.value(one)) is not None}
+        shown = {name: quantity.digits(value) for name, value in values.items()}
         least = shown[min(values, key=values.__getitem__)] if values else ""
-        names[one.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
+        names[quantity.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
     return names
 
 
-def digits(value: float) -> str:
-    """Returns a number with three significant digits, or more if it has more before the point."""
-    return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
+def headline(standings: Sequence[Standing]) -> str:
+    """Returns in a line who is best at ride and at road holding."""
+    rides, holds = (best(standings)[one.key] for one in (RIDE, LOAD))
+    if rides and rides == holds:
+        end = "s" * (len(rides) == 1)
+        return f"{some_names(rides)} ride{end} and hold{end} the road best"
+    said = (("ride", "best", rides), ("hold", "the road best", holds))
+    texts = [f"{some_names(names)} {verb}{'s' * (len(names) == 1)} {how}" for verb, how, names in said if names]
+    return ", ".join(texts) or "No controller can be told from another"
+
+
+def some_names(names: Sequence[str]) -> str:
+    """Returns names of controllers in a sentence, or their number if they are many."""
+    return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
 def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
@@ -171,112 +170,76 @@ def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
     rows = [
         {"controller": one.controller}
         | {key: text for key, text in (("vehicle", one.vehicle), ("without", one.without)) if text}
-        | {key: finite(one.values[key]) for key in KEYS}
+        | json_object(FIELDS, one)
         | ({"strokes": {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}} if one.strokes else {})
         for one in standings
     ]
     return {"controllers": rows, "best": best(standings)}
 
 
-@dataclass(frozen=True)
-class ComparedColumn:
-    """The cells of a column.
+def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Field[Standing]] = ()) -> Table:
+    """Returns the comparison of controllers; changes are from passive of the same vehicle.
 
-    Attributes:
-        measure: the column.
-        numbers: numbers of the controllers, the best marked.
-        changes: differences from passive [%]; None if they are not shown.
+    Args:
+        about: the measurement in words.
+        more: further columns.
     """
-
-    measure: Measure
-    numbers: list[str]
-    changes: list[str] | None
-
-
-def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn], str]:
-    """Returns the columns that have numbers, and a legend of their marks; changes are against passive of the same vehicle."""
     passive = {one.vehicle: one for one in standings if one.controller == PASSIVE and not one.without and len(standings) > 1}
-    marked, travel = best(standings), _travel(standings)
-    columns = []
-    for one in MEASURES:
-        if not any(_is_there(one, each.values[one.key]) for each in standings):
-            continue
-        measure, sides = travel if one.key == TRAVEL and travel is not None else (one, None)
-        shown = sides or [_shown(one, each) for each in standings]
-        numbers = [f"{cell}{'*' if each.label in marked[one.key] else ' '}" for cell, each in zip(shown, standings, strict=True)]
-        changes = None
-        if one.against and passive:
-            changes = [_change(each.values[one.key], passive[each.vehicle].values[one.key]) for each in standings]
-        columns.append(ComparedColumn(measure, numbers, changes))
+    marked, several = best(standings), any(one.vehicle for one in standings)
+    columns = [Field[Standing]("vehicle", lambda one: one.vehicle)] if several else []
+    columns.append(Field("controller", lambda one: one.name))
+    there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
+    for quantity in there:
+        shown = _travel(standings) if quantity is TRAVEL else quantity
+        columns.append(_marked(shown, marked[quantity.key]))
+        if quantity in CHANGES and passive:
+            columns.append(_change(quantity, passive))
     unsound = ", ".join(one.label for one in standings if not one.sound)
-    star = f"the best without {unsound}" if unsound else "the best"
-    legend = f"*: {star}; " if any(marked[column.measure.key] for column in columns) else ""
-    legend += "%: against passive; " if any(column.changes is not None for column in columns) else ""
-    return columns, legend
+    star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
+    legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
+    caption = f"Worst point in {about}.{f' {legend}.' if legend else ''}"
+    if not there:
+        caption = "There is no ride to compare: a run of every controller broke off."
+    return Table.of("compared", caption, (*columns, *more), standings, words=1 + several)
 
 
 def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
-    """Returns the table, with a note below on what is measured."""
-    columns, legend = compared_columns(standings)
-    if not columns:
-        return ["no ride to compare: of every controller a run broke off"]
-    first, second, *cells = zip(["", "", *(one.name for one in standings)], *map(_cells, columns), strict=True)
-    rows: list[Sequence[str] | str] = [first, second]
-    for one, row, before in zip(standings, cells, ("", *(each.vehicle for each in standings)), strict=False):
-        rows += [one.vehicle, row] if one.vehicle != before else [row]
-    return [*table(rows, tight=True), *wrapped(f"{legend}{about}", GAP, 4)]
+    """Returns the comparison for a terminal, with its caption below."""
+    one = compared_table(standings, about)
+    return [*(table_lines(one) if len(one.headings) > one.words else []), *wrapped(one.caption, GAP, len(GAP))]
 
 
-def _travel(standings: Sequence[Standing]) -> tuple[Measure, list[str]] | None:
-    """Returns the column of travel in bump and rebound with its cells, if every run has strokes: in mm if all have the same
-    strokes, else in per cent of them.
+def _marked(quantity: Field[Standing], names: Sequence[str]) -> Field[Standing]:
+    """Returns the column of a quantity in which those of these names have a mark."""
+    return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
+
+
+def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field[Standing]:
+    """Returns the column of changes from passive of the same vehicle, "-" for a missing, zero or equal number."""
+
+    def change(one: Standing) -> str | None:
+        value, usual = quantity.value(one), quantity.value(passive[one.vehicle])
+        if not usual or value is None or value == usual:
+            return None
+        share = round(100 * (value / usual - 1))
+        return f"{share:+d}" if share else "0"
+
+    return Field(f"{CHANGES[quantity]}{CHANGE}", change)
+
+
+def _travel(standings: Sequence[Standing]) -> Field[Standing]:
+    """Returns the column of travel: in bump and rebound if every run has strokes, in mm if all have the same ones, else in per
+    cent of them.
     """
-    usual, whole = (
-        next(one for one in MEASURES if one.key == TRAVEL),
-        [one for one in standings if one.values[TRAVEL] is not None],
-    )
+    whole = [one for one in standings if TRAVEL.value(one) is not None]
     if not whole or not all(one.strokes for one in whole):
-        return None
+        return TRAVEL
     strokes = {tuple(one.strokes[side][1] if side in one.strokes else None for side in SIDES) for one in whole}
     alike = len(strokes) == 1
     of = "/".join("-" if stroke is None else f"{1e3 * stroke:.4g}" for stroke in next(iter(strokes)))
-    what = f"of {of} mm" if alike else "% of stroke"
-    cells = [
-        "/".join(
-            f"{1e3 * one.strokes[side][0] if alike else 100 * one.strokes[side][0] / one.strokes[side][1]:.0f}"
-            if side in one.strokes
-            else "-"
-            for side in SIDES
-        )
-        for one in standings
-    ]
-    heading = f"travel in bump/rebound, {what}"
-    return replace(usual, title=what, unit="bump/reb.", heading=heading), cells
 
+    def used(one: Standing) -> str:
+        sides = [one.strokes.get(side) for side in SIDES]
+        return "/".join("-" if side is None else f"{1e3 * side[0] if alike else 100 * side[0] / side[1]:.0f}" for side in sides)
 
-def _is_there(one: Measure, value: float | None) -> bool:
-    """Returns True if a number is worth a column: a force of zero is not."""
-    return bool(value) if one.effort else value is not None
-
-
-def _cells(column: ComparedColumn) -> list[str]:
-    """Returns a column on the terminal: its title, its unit, and a cell for each controller."""
-    one = column.measure
-    if column.changes is None:
-        return [f"{one.title} ", f"{one.unit} ", *column.numbers]
-    width = max(map(len, column.changes))
-    pairs = zip(column.numbers, column.changes, strict=True)
-    return [one.title, f"{one.unit} %", *(f"{number} {change:>{width}}" for number, change in pairs)]
-
-
-def _shown(one: Measure, standing: Standing) -> str:
-    value = standing.values[one.key]
-    return "-" if value is None else digits(value * one.scale)
-
-
-def _change(value: float | None, passive: float | None) -> str:
-    """Returns by how many per cent a number exceeds passive's; empty if either is missing, zero or equal."""
-    if not passive or value is None or value == passive:
-        return ""
-    change = round(100 * (value / passive - 1))
-    return f"{change:+d}" if change else "0"
+    return Field(f"travel in bump/rebound, {f'of {of} mm' if alike else '% of stroke'}", used)

@@ -58,6 +58,7 @@ from sim.linear.frequency_response import sampled_frequency_response, stepwise_f
 from sim.linear.nonlinear_elements import Elements, elements
 from sim.response.regime import over
 from sim.studies.ride.quadrature import loop_poles, power_of
+from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, continuous
 
@@ -315,17 +316,15 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
-    record = line_object(vehicle, line)
-    slopes = [f"{name} {slope:.4g}, not {vehicle.parameters[name]:.4g} as at rest" for name, slope in record["slopes"].items()]
-    means = [f"{name} is {1e3 * mean:.3g} mm on average" for name, mean in record["mean"].items()]
-    beyond = "with the remainders of the curves to second order" if line.remainder else "without the remainders of the curves"
+    record, usual = line_object(vehicle, line), vehicle.parameters
+    slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
+    slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
     return [
-        "expected numbers are by statistical linearisation, with the lines that fit the curves best over this road, "
-        f"{beyond}: " + "; ".join([*slopes, *means]),
-        "so they are approximate: rms and dynamic load to about 1 %, vdv up to 4 % too high, energy up to 5 %, crest up to 8 %",
-        "with friction, or other sharp bends at rest: rms and dynamic load to 4 %, vdv up to 10 % too high, crest up to 35 %",
-        "if wheels leave the road, all are too high: vdv by up to 8 %, crest, travel and forces by up to 15 %, and by up to 20 % "
-        "if wheels are in the air for a fifth of the time",
+        f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. Lines "
+        f"fit the characteristics over this road: {'; '.join(slopes)}.",
+        "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. With friction, rms and dynamic "
+        "load are exact to 4 %; vdv is up to 10 % too high, crest 35 %. If wheels leave the road, vdv is up to 8 % too high; "
+        "crest, travel and forces up to 15 %, or 20 % with wheels in the air for a fifth of the time.",
     ]
 
 

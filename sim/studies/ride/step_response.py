@@ -6,14 +6,15 @@ wheel reaches the edge.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import finite, table
-from models.document.field import Field, cells, json_object, titles
+from models.common.printed import as_name, finite
+from models.document.document import Block, Document, Table, notes
+from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.runs.run import Run
@@ -53,9 +54,9 @@ class StepMetrics:
 
 COLUMNS: tuple[Field[StepMetrics], ...] = (
     Field("peak", lambda one: one.peak, ".5g", key="peak"),
-    Field("at s", lambda one: one.peak_time, ".5g", key="peak_time"),
-    Field("over %", lambda one: 100 * one.overshoot, ".4g"),
-    Field("settled s", lambda one: one.settled if one.settling_time is None else f"{one.settling_time:.5g}"),
+    Field("at", lambda one: one.peak_time, ".5g", key="peak_time", unit="s"),
+    Field("overshoot", lambda one: one.overshoot, ".4g", 100.0, "overshoot", "%"),
+    Field("settled after", lambda one: one.settled if one.settling_time is None else one.settling_time, ".5g", unit="s"),
     Field("IAE", lambda one: one.iae, ".4g", key="iae"),
     Field("ITAE", lambda one: one.itae, ".4g", key="itae"),
 )
@@ -171,64 +172,45 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
 def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
     """Returns the step metrics of a run for JSON, `linear` being the sampled response as everywhere in files."""
-    return {
-        "controller": run.controller.name,
-        "signals": {
-            name: {
-                "unit": one.unit,
-                "final": one.final,
-                "half_band": one.half_band,
-                **{
-                    key: None if by is None else _object(by)
-                    for key, by in (("mujoco", one.mujoco), ("linear", one.sampled), ("continuous", one.continuous))
-                },
-            }
-            for name, one in metrics.items()
-        },
+
+    def of_route(one: StepMetrics | None) -> dict[str, Any] | None:
+        settled = {} if one is None else {"settling_time": finite(one.settling_time), "settled": one.settled}
+        return None if one is None else json_object(COLUMNS, one) | settled
+
+    signals = {
+        name: {"unit": one.unit, "final": one.final, "half_band": one.half_band}
+        | {"mujoco": of_route(one.mujoco), "linear": of_route(one.sampled), "continuous": of_route(one.continuous)}
+        for name, one in metrics.items()
     }
+    return {"controller": run.controller.name, "signals": signals}
 
 
-def _object(one: StepMetrics) -> dict[str, Any]:
-    return {
-        **json_object(COLUMNS, one),
-        "overshoot": finite(one.overshoot),
-        "settling_time": finite(one.settling_time),
-        "settled": one.settled,
-    }
-
-
-def step_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float, every: bool) -> list[str]:
-    """Returns the step metrics of runs as tables, with what they mean below.
-
-    Args:
-        every: True for all signals, with the linear responses; False for MuJoCo's first height, or travel without one.
-    """
-    if not every:
-        return _short_lines(runs, measured)
-    lines = []
+def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
+    """Returns the step metrics of runs: MuJoCo's of the first height, or of travel without one, and in full of all signals."""
+    one = next((name for name, each in measured[0].items() if each.final), next(iter(measured[0])))
+    pairs = [(run.controller.name, metrics[one].mujoco) for run, metrics in zip(runs, measured, strict=True)]
+    title = f"Response to the step: {one} [{measured[0][one].unit}]"
+    blocks: list[Block] = [Table.of("step", title, _columns("controller"), pairs)]
     for run, metrics in zip(runs, measured, strict=True):
-        rows: list[Sequence[str] | str] = [(f"{run.controller.name}: step", *titles(COLUMNS))]
-        for name, one in metrics.items():
-            rows.append(f"{name} [{one.unit}]")
-            for what, by in (("MuJoCo", one.mujoco), ("sampled", one.sampled), ("exact", one.continuous)):
-                if by is not None:
-                    rows.append((f"  {what}", *cells(COLUMNS, [by])[0]))
-        lines += [*table(rows), ""]
-    return [
-        *lines,
-        "  IAE and ITAE in the signal's unit times s and s2, of the distance from where it ends, over the run",
-        f"  settled: from then on within {percent:g} % of the step's height (heights), or of the peak (what returns to zero)",
-        "  over: of a height beyond the step, of others to the opposite side after the peak, over that peak",
-        "  exact: the continuous linear response, located between samples; MuJoCo: cubics through its samples, forces held",
-    ]
+        rows = [
+            (f"{name} [{each.unit}]", what, by)
+            for name, each in metrics.items()
+            for what, by in (("MuJoCo", each.mujoco), ("sampled", each.sampled), ("exact", each.continuous))
+            if by is not None
+        ]
+        caption = f"All signals with {as_name(run.controller.name)}."
+        table = Table.of(f"step-{run.controller.name}", caption, _columns("signal", "response"), rows, 2)
+        blocks.append(Document(run.controller.name, (table,), "full"))
+    about = (
+        "IAE and ITAE: in the signal's unit times s and s², of the distance from the final value.",
+        f"Settled: from then on within {percent:g} % of the step's height, or of the peak for a signal that returns to zero.",
+        "Overshoot: of a height beyond the step; of others to the opposite side after the peak, relative to the peak.",
+        "Exact: the continuous linear response, located between samples. MuJoCo: cubics through its samples, forces held.",
+    )
+    return Document(title, (*blocks, *notes(*about, detail="full")))
 
 
-def _short_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]]) -> list[str]:
-    """Returns the metrics of one signal in MuJoCo, a row for each run."""
-    first = {name: one.final for name, one in measured[0].items()}
-    shown = next((name for name, final in first.items() if final), next(iter(first)))
-    rows: list[Sequence[str] | str] = [(f"step: {shown} [{measured[0][shown].unit}]", *titles(COLUMNS))]
-    for run, metrics in zip(runs, measured, strict=True):
-        by = metrics[shown].mujoco
-        rows.append((f"  {run.controller.name}", *(cells(COLUMNS, [by])[0] if by is not None else ["-"] * len(COLUMNS))))
-    return table(rows)
+def _columns(*names: str) -> list[Field[Any]]:
+    """Returns the columns of a table whose rows are some words and step metrics, or None."""
+    words = [Field[Any](name, lambda row, i=i: row[i]) for i, name in enumerate(names)]
+    return [*words, *(replace(one, value=lambda row, one=one: row[-1] and one.value(row[-1])) for one in COLUMNS)]
