@@ -39,12 +39,12 @@ laws in Python                                                  641    694    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            185    329    124
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1218    844    141
+semi-active dampers and laws                                   1218    844    142
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1604   1016     42
+curves of dampers and springs, statistical linearisation       1603   1016     42
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
@@ -61,7 +61,7 @@ analytic and random roads                                      1746    822     9
 preview, LQR, LQG, H2                                           640    653     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py synth/vehicle/quadratic.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      400   1107      0
+anti-windup, integrals, compatible options                      400   1108      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    360      0
@@ -111,10 +111,10 @@ log re-verification                                             846    600     4
 recordings: MCAP, Foxglove, Rerun                              2212   1175     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4586   1452     68
+page and figures                                               4547   1450     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2485   1618    163
+campaigns                                                      2485   1613    158
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               766    377     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
@@ -124,7 +124,7 @@ margins in physics                                             2490    921     6
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1879    568     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2231   1119      0
+ride metrics and their expectation                             2162   1105      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
@@ -139,7 +139,7 @@ linear responses                                               1033    369      
 runs, verdict, their text                                      3046    882     55
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1064    992    350
+commands that drive                                            1063    997    350
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md

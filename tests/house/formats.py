@@ -24,15 +24,15 @@ MOST = {  # formats in a folder: lower these, never raise them
     "synth/controller": 8,
     "synth/design": 30,
     "synth/vehicle": 11,
-    "sim/campaign": 9,
+    "sim/campaign": 4,
     "sim/command": 3,
-    "sim/inspect": 8,
+    "sim/inspect": 2,
     "sim/physics": 3,
     "sim/recording": 5,
-    "sim/report": 34,
+    "sim/report": 9,
     "sim/response": 7,
-    "sim/runs": 69,
-    "sim/studies": 24,
+    "sim/runs": 13,
+    "sim/studies": 16,
 }
 
 
