@@ -138,12 +138,16 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
         raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
     times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:
-        why = f"its measurements immediately contain {times:.4g} times its own force, which grows from sample to sample"
-        raise InputError(f"{name} tolerates no delay and no computer: {why}; lower its gain on accelerations, or filter them")
+        raise InputError(
+            f"{name} tolerates no delay and no computer: its measurements immediately contain {times:.4g} times its own force, "
+            "which grows from sample to sample; lower its gain on accelerations, or filter them"
+        )
     radius = LoopModel(vehicle, controller, timestep).radius
     if radius >= 1:
-        why = f"is not stable at a timestep of {timestep:g} s or with its actuators' lag (growth by {radius:.6g} every step)"
-        raise InputError(f"{name} {why}; give a smaller timestep or a larger actuator_bandwidth")
+        raise InputError(
+            f"{name} is not stable at a timestep of {timestep:g} s or with its actuators' lag (growth by {radius:.6g} every "
+            "step); give a smaller timestep or a larger actuator_bandwidth"
+        )
     if LoopModel(built, controller, timestep).radius >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
         raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")

@@ -463,7 +463,7 @@ def signal_table(run: RunResult, passive: RunResult | Reference | None) -> Table
             change = CHANGE.digits(float(getattr(run.physics, kind)(name)) / before - 1) if before else "-"
             label = f"{name} [{run.vehicle.kind.signal(name).unit}]" if kind == "peak" else ""
             rows.append((label, kind, *numbers, *apart, change))
-    headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "to cont.", "passive %")[: 8 if passive else 7]
+    headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "cont. error", "change %")[: 8 if passive else 7]
     shown = tuple(row[: len(headings)] for row in rows)
     return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, shown)
 

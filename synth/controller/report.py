@@ -164,18 +164,6 @@ SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of 
 SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 
 
-def heading_lines(controller: Controller) -> list[str]:
-    """Returns the lines with a controller's measured signals and its gain."""
-    measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
-    law = law_text(controller.law) if controller.measured else "no control force"
-    return [measures, f"  {law}", *preview_lines(controller, "  ")]
-
-
-def preview_lines(controller: Controller, start: str) -> list[str]:
-    """Returns a line on how far ahead a controller knows the road, after some text; empty if it does not."""
-    return [f"{start}answers the road {controller.ahead:g} s ahead, too"] if controller.preview is not None else []
-
-
 def law_text(law: LinearLaw) -> str:
     """Returns a static law as its gain, and others by their equations, or their gains as a PI or PID law."""
     from models.laws.law_structure import pid_text

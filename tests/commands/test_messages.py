@@ -25,7 +25,7 @@ UNIT |= {"s": "start rise hold duration", "": "g factor"}
 def test_every_range_has_its_unit(kind):
     """A number of a road, a load or a vehicle that is not allowed is told its range in its unit, and a pure number in none."""
     for name, unit in ((name, unit) for unit, names in UNIT.items() for name in names.split()):
-        if name in (field.name for field in dataclasses.fields(kind)):
+        if name in (field.name for field in dataclasses.fields(kind)) and not (kind is Iso8608 and name in ("lowest", "highest")):
             with pytest.raises(
                 InputError, match=rf"{name} = -1e\+12 is not allowed; give a number from \S+ to \S+{unit and ' ' + unit}$"
             ):

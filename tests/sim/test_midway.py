@@ -23,10 +23,9 @@ def ride_of(found):
 
 
 @pytest.fixture
-def slow_road(monkeypatch):
+def slow_road():
     """A road whose waves are 20 Hz and below: that it is held over a timestep hardly matters."""
-    monkeypatch.setattr("models.roads.iso8608.HIGHEST", 1.0)
-    return Iso8608("B", 0, 20.0, length=777.0)  # of its own: lines are kept by length
+    return Iso8608("B", 0, 20.0, length=777.0, highest=1.0)
 
 
 def of_second_order(coarse, fine, allowed):

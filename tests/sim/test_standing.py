@@ -16,7 +16,6 @@ def test_passive_comes_first(capsys):
     """Passive is compared though not requested; in brief a command prints the comparison, and ends in the verdicts."""
     assert bump.main([*RUN, "--brief"]) == 0
     printed = capsys.readouterr().out
-    assert [line.split()[0] for line in printed.splitlines()[-2:]] == ["I", "II_printed"]
     assert bump.main([*RUN, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     compared = result["compared"]["controllers"]

@@ -100,7 +100,7 @@ def test_a_log_claims_nothing_of_goals(vehicles, tmp_path, capsys):
     capsys.readouterr()
     assert inspect([str(log), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert printed.count("note goals: vehicle.toml has goals for it (bounds), of which the log claims nothing") == 1
+    assert printed.count("goals note: vehicle.toml has goals for it (bounds), of which the log claims nothing") == 1
     assert printed.endswith("the log still proves what it claims, and of goals it claims nothing")
     assert inspect([str(log), "--json"]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]

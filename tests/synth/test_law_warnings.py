@@ -147,7 +147,7 @@ def test_published_gains_have_small_margins(capsys):
     out = capsys.readouterr().out
     assert "Small gain/disk margins: state, state_printed 1.11/0.10; I, I_printed 1.21/0.19 Limit" in prose(out)
     assert bump(["--controller", "I", "--duration", "0.5", "--no-logs"]) == 0
-    assert "\nSmall gain/disk margins: I 1.21/0.19\n" in capsys.readouterr().out
+    assert "\nI: gain margin 1.21, disk margin 0.19\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_an_unsound_law_is_never_the_best(tmp_path, capsys):
     assert [run["margins"]["winds_up"] for run in result["runs"]] == [False, False, True]
     bump(arguments)
     out = prose(capsys.readouterr().out)
-    assert "Unstable by itself, winding up at 3 kN: mine (+30 1/s)" in out
+    assert "mine: unstable by itself (+30 1/s), winds up at 3 kN" in out
     assert "*: best without mine;" in out
 
 
