@@ -115,6 +115,8 @@ def render(page: Page) -> str:
     import jinja2
 
     figures = [figure for part in page.parts for figure in part.figures]
+    if repeated := [name for name, count in Counter(one.name for one in figures).items() if count > 1]:
+        raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")  # one would show the other's panels
     panels = {one.name: [panel_svg(panel, f"{one.name}-{k}") for k, panel in enumerate(one.panels)] for one in figures}
     entries = {
         one.name: [(key_svg(entry, f"{one.name}-{k}"), entry.label) for k, entry in enumerate(legend(one))] for one in figures

@@ -14,6 +14,7 @@ from string import ascii_lowercase
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?( %)?")
+UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # a number stays on a line with its unit
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED = re.compile(r"\b(m|rad)/s2\b")
 NOTHING = 1e-9  # of a column's largest number: less is rounding
@@ -66,8 +67,14 @@ class Reading:
 
 def notation(text: str) -> str:
     """Returns a text in the notation of a page: 1.4·10⁻³, m/s², ±."""
-    text = POWER.sub(lambda one: f"{one[1]}·10{str(int(one[2])).translate(SUPERSCRIPT)}", text)
+    text = UNIT.sub("\N{NO-BREAK SPACE}", POWER.sub(_power, text))
     return SQUARED.sub(r"\1/s²", text).replace("+-", "±").replace(" <= ", " ≤ ").replace(" >= ", " ≥ ")
+
+
+def _power(one: re.Match[str]) -> str:
+    """Returns a number with an exponent: 1.4·10⁻³, and 1.4 or 0 for an exponent of 0."""
+    power = f"·10{str(int(one[2])).translate(SUPERSCRIPT)}" if int(one[2]) else ""
+    return f"{one[1]}{power}" if float(one[1]) else "0"
 
 
 def as_csv(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
