@@ -5,17 +5,11 @@ from collections.abc import Iterable, Sequence
 
 from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fitted, table, wrapped
 from models.document.document import NOTE, Detail, Document, Statement, Table, is_shown
-from models.document.field import Field, T, cells, titles
 
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # lines of a heading, at most
 CHANGE = ", %"  # end of the heading of changes of the numbers in the column before
 BEST = "*"  # after a number
-
-
-def field_table(fields: Sequence[Field[T]], ones: Iterable[T]) -> list[str]:
-    """Returns the lines of a table for the terminal, a row per result."""
-    return table([titles(fields), *cells(fields, ones)])
 
 
 def names_text(names: Iterable[str]) -> str:

@@ -156,22 +156,6 @@ class Scope:
         """
         return self.vehicle.implementation.undelayed
 
-    @property
-    def as_it_runs(self) -> str:
-        """Describes the sampled linear loop, without ends of the regime and measurement noise."""
-        how = self.vehicle.implementation.without_noise
-        hold = f"its force held over every step of {1e3 * self.timestep:g} ms"
-        return ", ".join([*(how.phrases or (hold,)), *self._lag.phrases(())])
-
-    @property
-    def lag(self) -> str:
-        """Describes the linear part of the limits, which belongs to the continuous loop too."""
-        return "".join(f", with {words}" for words in self._lag.phrases(()))
-
-    @property
-    def _lag(self) -> Limits:
-        return Limits(actuator_bandwidth=self.vehicle.limits.actuator_bandwidth)
-
     @cached_property
     def stable(self) -> list[Controller]:
         """Returns the controllers with a stable implemented loop, and a stable ideal loop unless a computer replaces it."""

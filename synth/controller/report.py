@@ -173,11 +173,6 @@ def law_text(law: LinearLaw) -> str:
     return "; ".join(filter(None, (law.text, pid_text(law))))
 
 
-def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
-    """Returns the line of a law after some text: one for a static law, another for other laws."""
-    return [f"{of_states}{law_text(law)}" if law.states else f"{gain}{gain_text(law.D)}"]
-
-
 def pid_line(controller: Controller) -> str:
     """Returns the gains of a designed PI or PID law, continuous or discrete, as in a vehicle file; empty for other laws."""
     from models.laws.law_structure import ITS_GAINS, pid_text

@@ -4,7 +4,7 @@ import math
 
 from models.document.document import Table
 from models.document.field import Field, cells, json_object
-from models.document.text import field_table
+from models.document.text import table_lines
 
 LENGTHS: tuple[Field[float | None], ...] = (
     Field("length [mm]", lambda x: x, ".1f", 1e3, "length"),
@@ -17,8 +17,9 @@ def test_one_quantity_in_three_forms():
     """A table has the number in its own unit and digits, JSON the number itself; no number is a dash and null."""
     rows = (("1234.6", "1e+00", "some"),)
     assert cells(LENGTHS, [1.23456]) == rows
-    assert field_table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
-    assert Table.of("lengths", "", LENGTHS, [1.23456]) == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
+    table = Table.of("lengths", "", LENGTHS, [1.23456])
+    assert table_lines(table) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
+    assert table == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
     assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
     for value, row in ((None, ("-", "-", "none")), (math.inf, ("-", "inf", "some"))):
         assert cells(LENGTHS, [value]) == (row,)
