@@ -8,6 +8,7 @@ from models.document.document import NOTE, Detail, Document, Statement, Table, i
 
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # lines of a heading, at most
+LONG = 10  # rows of a long table, whose columns are closer before its heading has a third line
 CHANGE = ", %"  # end of the heading of changes of the numbers in the column before
 BEST = "*"  # after a number
 
@@ -70,12 +71,13 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     columns[0] = tuple(f"{GAP * several}{cell}" for cell in columns[0])
     columns = [*columns[:words], *_with_changes(columns[words:])]
     shown, widths = columns, list[int]()
+    gap = GAP if len(one.rows) < LONG else " "
     for most in range(1, HEADING + 1):
         tops = [_heading(heading, most) for heading, *_ in columns]
         high = max(map(len, tops))
         shown = [[*[""] * (high - len(top)), *top, *cells] for top, (_, *cells) in zip(tops, columns, strict=True)]
         widths = [max(map(len, column)) for column in shown]
-        if len(indent) + sum(widths) + len(GAP) * (len(widths) - 1) <= WIDTH:
+        if len(indent) + sum(widths) + len(gap) * (len(widths) - 1) <= WIDTH:
             break
     cells = [*zip(*shown, strict=True)]
     rows: list[Sequence[str] | str] = [*cells[: len(cells) - len(one.rows)]]

@@ -161,7 +161,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
 
     Args:
         brief: True for no lines.
-        runs: runs that are recorded; for more than `FEW` of them only the files are printed.
+        runs: runs that are recorded; for more than `FEW` of them only the files are printed, without an empty line above.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -170,7 +170,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
 
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
-    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
+    return [*(["", LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
 
 
 def check_view(options: argparse.Namespace) -> None:

@@ -195,7 +195,7 @@ def drive(
         settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
         about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
         if len(shown) > FEW and not (options.verbose or options.brief):
-            about += "; -v: norms, signals"
+            about += "; -v: norms, expected ride, signals" if rides and road.spectrum else "; -v: norms, signals"
         lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         say([*lines, "", *text_lines(Document("", verdicts(shown)))])

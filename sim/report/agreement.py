@@ -67,6 +67,7 @@ def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMe
     drawn = history_figure(runs, scope.where if road is None else scope.road_name), suspension_figure(scope, runs, scope.where)
     figures = [one for one in drawn if one is not None]
     if road is None:
+        figures = [replace(one, name="bump") if one is drawn[0] else one for one in figures]
         return Document("Response to the paper's bump", (*run_statements(runs, scope.where), *figures, _peaks(scope, runs)))
     about = f"{road.words}. The runs take {scope.duration:g} s; metrics are measured {when}."
     about = " ".join([f"{about[0].upper()}{about[1:]}", *(line.strip() for line in end_lines(road, scope.duration))])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import Stages, as_name, by_text, percent, say, titled
+from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
 from models.document.document import Block, Document, Statement, Table, notes
 from models.document.field import Field
 from models.document.outputs import check_outputs, written_lines
@@ -258,7 +258,8 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
     if options.picture and not outputs["picture"]:
         files += ["no picture: no loop is stable"]
     title, end = titled(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
-    return [*title, *screen_lines(document(designs, options), full, [*title, *files, *end]), *files, *end]
+    lines = screen_lines(document(designs, options), full, [*title, *files, *end])
+    return [*title, *lines, *(_refine_command(designs.rows, options) if full else []), *files, *end]
 
 
 def document(designs: Designs, options: Namespace) -> Document:
@@ -307,6 +308,13 @@ def _worth(rows: Sequence[Row]) -> list[Statement]:
     """Returns a statement on the norms that `--refine` lowers by more than the table's last digit."""
     shares = ", ".join(f"{as_name(row.name)} by {_at_least(row.worth)} or more" for row in rows if row.worth)
     return [Statement(f"--refine lowers the norm of {shares}.")] if shares else []
+
+
+def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:
+    """Returns the command, after an empty line, that lowers these norms; empty if there are none."""
+    named = [f"--controller={row.name}" for row in rows if row.worth and not options.given & ASKED]
+    words = [pasted([word]) for word in (f"--vehicle={options.vehicle}", *named, "--refine")]
+    return ["", "To refine:", *command(["python -m synth", *words])] if named else []
 
 
 def _at_least(share: float) -> str:

@@ -29,7 +29,7 @@ def test_every_range_has_its_unit(kind):
             with pytest.raises(
                 InputError, match=rf"{name} = -1e\+12 is not allowed; give a number from \S+ to \S+{unit and ' ' + unit}$"
             ):
-                kind(**{name: -1e12})
+                kind(**{name: -1e12})  # pyright: ignore[reportArgumentType]
 
 
 def test_one_line():

@@ -17,6 +17,10 @@ from tests.support.commands import attacks, main_of, prose
 from tests.support.pages import page
 
 ROOT = Path(__file__).parents[2]
+FIRST = {  # how the first sentence below the title begins, of a command whose verdicts are there
+    "sim.sweep": r"Every frequency response in MuJoCo is within [\de.-]+ of the exact one of the sampled loop for "
+    r"|\w+ (DOES NOT AGREE|left the linear regime): "
+}
 LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
 BUILT = "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 2e3\nactuator_bandwidth = 300.0\n"
 BUILT += "[implementation]\nsample_period = 4e-3\nnoise = { sprung_velocity = 1e-3 }\n"
@@ -56,7 +60,6 @@ ANSWERS = {  # how the last line, or the sentence that is the last, begins
     "synth": r"every claim holds|not every claim holds",
     "sim.bump": RUN,
     "sim.drive": RUN,
-    "sim.sweep": RUN,
     "sim.margins": RUN,
     "sim.envelope": RUN,
     "sim.report": "MuJoCo agrees, and|no check fails|something FAILS",
@@ -90,6 +93,7 @@ def built(tmp_path_factory):
 def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsys):
     """Without `-v` every command answers within 24 lines of 80 columns, and its last words are the verdict on each controller.
 
+    The verdicts of a sweep are the first words below its title and its vehicle file, and name each controller that it ran.
     For a file of long names, limits and an unstable loop there may be more lines, and one more for eleven controllers.
     """
     monkeypatch.chdir(tmp_path)
@@ -101,6 +105,15 @@ def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsy
     out = capsys.readouterr().out
     assert too_wide(out) == []
     assert len(out.splitlines()) <= LINES + (car == "quarter_car_semi_active" and "all" in arguments) or car == "built"
+    if name in FIRST:
+        answer = prose(out.split("\n", 2)[2])
+        assert re.match(FIRST[name], answer)
+        verdicts, _, rest = answer.partition("Responses were measured")
+        swept = re.findall(r"^  (\w+)(?: +[\d.e+-]+){2} +(?:[\d.]+|-)$", out, re.M)  # the rows of the first table
+        assert swept
+        assert rest
+        assert {*swept} <= {*re.findall(r"\w+", verdicts)}
+        return
     last = prose(out[out.rindex("\n\n") :])
     assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
     if "all" in arguments:

@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2360   1858      0
+what all commands share: files, options, checks, tables of numbers   2360   1871      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
 vehicle file, types, equations, MJCF                           4913   1403    209
@@ -44,7 +44,7 @@ semi-active dampers and laws                                   1218    844    14
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       1603   1016     42
+curves of dampers and springs, statistical linearisation       1603   1015     42
     models/suspension/{curve*,fitted_curves}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py tests/support/curved.py tests/*/test_curves*.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
@@ -55,7 +55,7 @@ loads, links, tyre damping                                      817   1543     5
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1137    943      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1746    822     91
+analytic and random roads                                      1748    823     91
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           640    653     51
@@ -66,7 +66,7 @@ anti-windup, integrals, compatible options                      400   1108      
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    360      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
-goals, families, trade-off front                               4555   1668    123
+goals, families, trade-off front                               4555   1668    124
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
@@ -101,7 +101,7 @@ plant algebra, filters, any plant                              2249   1817    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3131    623    151
+synth command, controller record, designer                     3139    623    151
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
@@ -111,7 +111,7 @@ log re-verification                                             849    600     4
 recordings: MCAP, Foxglove, Rerun                              2212   1175     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4532   1450     68
+page and figures                                               4535   1450     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2485   1613    158
@@ -124,7 +124,7 @@ margins in physics                                             2494    921     6
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1879    568     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2162   1103      0
+ride metrics and their expectation                             2167   1103      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py

@@ -292,7 +292,7 @@ def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
     assert inspect([str(log), "-v"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     norm = Designer(read_vehicle(file)).design("II_printed").certificate.norm.value
-    assert f"holds certificate: stable, norm {norm:.7g} at" in said
+    assert f"certificate: stable, norm {norm:.7g} at" in said
 
 
 def test_no_second_witness_with_filters(tmp_path):

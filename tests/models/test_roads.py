@@ -132,6 +132,7 @@ def test_roughness_as_the_literature_has_it():
     assert np.array_equal(heights("iso8608:class=D"), heights("iso8608:gd=1024e-6"))
     assert np.array_equal(heights("iso8608:class=A/B"), heights("iso8608:gd=32e-6"))
     road = choose_road("iso8608:gd=64e-6:waviness=2.6:band=0.02..3").build(vehicle, 20.0, 1, 1e4)
+    assert isinstance(road, Iso8608)
     x = np.arange(0, road.length, 0.05)
     n = np.fft.rfftfreq(len(x), 0.05)
     for side in ("left", "right"):

@@ -280,4 +280,4 @@ def test_a_sweep_is_driven_by_quantised_code(numbers, code, tmp_path, capsys):
     assert sweep(["--controller", "I", "--timestep", "4e-3", "--as", str(tmp_path / "ecu"), "--json"]) == code
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]
     said = "; ".join(found["failures"])
-    assert ("rounding to int16 is not in that" in said) == (numbers == "int16")
+    assert ("this omits rounding to int16" in said) == (numbers == "int16")

@@ -86,13 +86,12 @@ def test_there_is_none_of_a_line(paper):
 
 @pytest.mark.attack
 def test_a_report_has_it_where_there_is_something_to_draw(tmp_path):
-    """The diagram is among a report's figures, and the page says that what MuJoCo is held against has the curves."""
+    """The diagram is among a report's figures, and the page says when the curve leaves the line of linear analysis."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
     asked = ["--quick", "--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--timestep", "0.002"]
     assert main([*asked, "--out", str(tmp_path / "report.html"), "--figures", str(tmp_path / "figures")]) == 0
     assert (tmp_path / "figures" / "suspension.png").stat().st_size > 10_000
     page = (tmp_path / "report.html").read_text()
     words = " ".join(unescape(page).split())
-    assert "MuJoCo agrees with the vehicle's equations and the control laws" in words
-    assert "with its curves" in words
-    assert "Forces of dampers and springs over the bump of 0.1 m" in page
+    assert "curve: a damper or spring first leaves its linearisation by 10 % of its largest force at" in words
+    assert "Forces of dampers and springs over the paper's bump, with their curves or limits" in words

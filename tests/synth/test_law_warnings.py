@@ -224,7 +224,7 @@ def test_a_full_order_law_that_winds_up(corner, capsys):
     assert out.endswith("; a law UNSTABLE by itself: full")
     drive(["--vehicle", car, "--controller", "full", "--class", "E", "--speed", "25", "--duration", "12", "--no-logs"])
     out = prose(capsys.readouterr().out)
-    assert ": full (+" in out
+    assert "full: unstable by itself (+" in out
     assert "law overflow" in out.lower()
     assert "the vehicle does not have" not in out
 

@@ -12,11 +12,12 @@ from models.common.checks import Index
 from models.common.errors import InputError
 from models.common.printed import Shown, as_name, finite, percent
 from models.document.document import Document, Table, notes
-from models.document.field import Field, json_object
+from models.document.field import Detail, Field, json_object
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
+from sim.runs.report import FEW
 from sim.runs.run import Run
 from sim.studies.ride.expected import (
     APPROXIMATE,
@@ -281,7 +282,10 @@ def broken(run: Run) -> list[str]:
 
 
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
-    """Returns the largest angles of the body under loads, and the ride that is expected over all roads of a random kind."""
+    """Returns the largest angles of the body under loads, and the ride that is expected over all roads of a random kind.
+
+    For more than `FEW` runs the expected ride is a detail.
+    """
     angles = [
         {name: one.mujoco for name, one in of_run.metrics.items() if one.unit == "deg" and one.mujoco is not None}
         for of_run in measured
@@ -305,7 +309,8 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         if one is not None
     ]
     said = f"Ride expected over all such roads [m/s²], with the standard deviation by road: {', '.join(each)}."
-    return Document("", (*tables, *notes(*([said] if each and len(each) == len(runs) else []))))
+    detail: Detail = "normal" if len(runs) <= FEW else "full"
+    return Document("", (*tables, *notes(*([said] if each and len(each) == len(runs) else []), detail=detail)))
 
 
 def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:
