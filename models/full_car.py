@@ -7,7 +7,7 @@ mode, the twist, is fixed by the suspension deflections and the twist of the roa
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.car import Car, lateral, track
+from models.kinds.car import Car, lateral
 from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
@@ -55,7 +55,7 @@ PARAMETERS = (
 
 def _body(p: Parameters) -> RigidBody:
     corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, lateral(f"{axle}_{side}", p)) for axle in AXLES for side in SIDES)
-    widths = np.repeat([track(axle, p) for axle in AXLES], 2)
+    widths = np.repeat([links.track(axle, p) for axle in AXLES], 2)
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
     pitch_arm, roll_arm = links.arms(p)
@@ -76,7 +76,9 @@ def _body(p: Parameters) -> RigidBody:
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
-    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], max(track(axle, p) for axle in AXLES), "track")
+    rigid_body.check_inertia(
+        "roll_inertia", p["roll_inertia"], p["sprung_mass"], max(links.track(axle, p) for axle in AXLES), "track"
+    )
     links.check_links(p)
     rigid_body.check_stands(_body(p))
 

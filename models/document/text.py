@@ -94,16 +94,16 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 def _with_changes(columns: Iterable[Sequence[str]]) -> list[list[str]]:
     """Returns columns of numbers: those with a mark of the best aligned, and each column of changes joined to the one before."""
-    joined: list[list[str]] = []
+    merged: list[list[str]] = []
     for heading, *numbers in columns:
         marked = any(cell.endswith(BEST) for cell in numbers)
         cells = [f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers]
-        if joined and heading.endswith(CHANGE):
+        if merged and heading.endswith(CHANGE):
             width = max(map(len, cells), default=0)
-            before, *numbers = joined.pop()
+            before, *numbers = merged.pop()
             heading, cells = f"{before} %", [f"{one} {change:>{width}}" for one, change in zip(numbers, cells, strict=True)]
-        joined.append([heading, *cells])
-    return joined
+        merged.append([heading, *cells])
+    return merged
 
 
 def _heading(text: str, most: int) -> list[str]:

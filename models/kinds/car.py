@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from models.common.errors import InputError
 from models.kinds import links, rigid_body, signals
 from models.kinds.kind import BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
@@ -16,21 +15,10 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
-def track(axle: str, p: Parameters) -> float:
-    """Returns the distance of an axle's wheels [m], from `track_AXLE` or, if that is not given, from `track`.
-
-    Raises:
-        InputError: neither is given.
-    """
-    if (own := p.get(f"track_{axle}", p.get("track"))) is None:
-        raise InputError(f"parameter 'track' [m] is missing, from a left wheel to the right one; give it, or track_{axle}")
-    return own
-
-
 def lateral(corner: str, p: Parameters) -> float:
     """Returns the distance of a corner to the left of the vehicle's middle [m]."""
     axle, _, side = corner.partition("_")
-    return track(axle, p) / 2 if side == "left" else -track(axle, p) / 2
+    return links.track(axle, p) / 2 if side == "left" else -links.track(axle, p) / 2
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,17 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
     return on_body | {f"{WHEEL_LOAD.name}_{name}": value for name, value in on_wheels.items()}
 
 
+def track(axle: str, p: Parameters) -> float:
+    """Returns the distance of an axle's wheels [m], from `track_AXLE` or, if that is not given, from `track`.
+
+    Raises:
+        InputError: neither is given.
+    """
+    if (own := p.get(f"track_{axle}", p.get("track"))) is None:
+        raise InputError(f"parameter 'track' [m] is missing, from a left wheel to the right one; give it, or track_{axle}")
+    return own
+
+
 def left_out(p: Parameters, angles: Collection[str]) -> str:
     """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
     axes = (("rolls", "roll_angle", ROLL_CENTRES[0]), ("pitches", "pitch_angle", PITCH_CENTRE))

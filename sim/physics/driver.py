@@ -148,7 +148,6 @@ class LinearDriver:
         m, k = len(first.linear_model.inputs), max(law.states for law in laws.values())
         self._forces, count = m, len(vehicles)
         self._gain, self._memory = np.zeros((len(signals), count, m + k)), np.zeros((count, m + k, k))
-        self._none = np.zeros((count, m + k))
         for i, one in enumerate(self._controllers):
             law, seen = laws[id(one)], [signals.index(name) for name in one.measured]
             end = m + law.states
@@ -178,7 +177,7 @@ class LinearDriver:
         """See `Driver.step`."""
         m, q = self._forces, len(self._gain)
         # Zeros for the measurements of other controllers do not change the rounding.
-        computed = sum(self._gain * y.T[:q, :, None], start=self._none)
+        computed = sum(self._gain * y.T[:q, :, None], start=np.zeros(self._gain.shape[1:]))
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]

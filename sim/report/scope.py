@@ -8,10 +8,7 @@ from pathlib import Path
 
 from models.common.printed import as_name
 from models.document.field import Field
-from models.document.field import at_most as at_most
 from models.document.figure import Style, styles
-from models.document.text import joined as joined
-from models.document.text import names_text as names_text
 from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
