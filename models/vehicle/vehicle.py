@@ -243,7 +243,7 @@ class Vehicle(ShownVehicle):
         if pushing and others:
             raise InputError(
                 f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
-                "one sort: select controllers of one sort with --controller"
+                "one kind: select controllers of one kind with --controller"
             )
         return self.with_force_actuators if pushing else self
 
@@ -436,7 +436,7 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop to analyse; give another controller, or drive this one "
+                f"controller {name!r} is {what}, which has no linear loop; give another controller, or drive this one "
                 "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry

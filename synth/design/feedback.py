@@ -76,7 +76,7 @@ class FeedbackDesign(Shown):
             InputError: the law has states.
         """
         if self.law.states:
-            raise InputError(f"the law has {states_text(self.law)}, so that no gain alone is the controller; take its law")
+            raise InputError(f"the law has {states_text(self.law)}, so no gain alone is the controller; use its law")
         return self.law.D
 
     @property
@@ -187,13 +187,13 @@ def design_feedback(
     check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
     asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
-        raise InputError(f"{WHERE} delay = {delay:g} samples, and there is no sample_period; give it, in seconds")
+        raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample_period; give it in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
-        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} goes with structure = "pid", which is designed; give both')
+        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} needs structure = "pid"; give both')
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain goes with a static gain of the least norm alone; omit it, or give goals "
+            f"{WHERE} largest_gain applies only to a static gain of the least norm; omit it, or give goals "
             'bounds = [{"gain": ...}]'
         )
     law_structure = asked.structure({"order": order} | own) if of_law else None
@@ -356,7 +356,7 @@ class _Asked:
         check_continuous(self.plant)
         if self.Dyw is not None:
             raise InputError(
-                f"{WHERE} Dyw with sample_period: noise between samples is not read; give noise, the rms of each reading"
+                f"{WHERE} Dyw with sample_period: noise between samples has no effect; give noise, the rms of each reading"
             )
         from synth.design.static import bounded_work
 

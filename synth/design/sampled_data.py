@@ -129,7 +129,7 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     before = norm_of(problem, K, near)
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
-        raise DesignError("the sampled loop is not stable, or its norm is that within a period; there is nothing to refine")
+        raise DesignError("the sampled loop is unstable, or its norm occurs within one period; there is nothing to refine")
     rows = independent_rows(plant, problem.rows)
     few = problem.of(rows)
     start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
@@ -149,9 +149,8 @@ def check_size(problem: SampledDataProblem) -> None:
     (n, m), late = problem.plant.B.shape, problem.remembered
     if n + m * late > MOST_STATES:
         raise TooLargeError(
-            f"forces of {late} samples on their way make it {n + m * late} states, and the sampled loop is designed for with at "
-            f"most {MOST_STATES}; omit sampled = true, for the continuous design runs at any delay, or give a longer sample "
-            "period or a shorter delay"
+            f"a delay of {late} samples gives the loop {n + m * late} states, and sampled designs allow at most {MOST_STATES}; "
+            "omit sampled = true (a continuous design runs with any delay), or give a longer sample period or a shorter delay"
         )
 
 
@@ -316,7 +315,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
     """
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
-    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")
+    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two-step method for sampled loops")
     level, path = _level(problem, state_path, near)
     if len(rows) == size:
         return np.linalg.solve(rows.T, path[-1].K.T).T, level

@@ -353,7 +353,7 @@ def two_step_design(
             K = np.linalg.solve(measured.T, on_rows.T).T
             best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
             return with_redundant_rows(best, kept, len(Cy), 0.0)
-    fits(unknowns(problem.plant), MOST, "the two steps are gone")
+    fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
     own, Q = units.into(problem.plant), nullspace(rows)
     failures: list[DesignError] = []

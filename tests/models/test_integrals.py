@@ -194,7 +194,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
     [
         ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force moves"),
         ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
-        ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no further state"),
+        ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no state for it"),
         ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "not stable by itself"),
         (
             [PI],
@@ -208,7 +208,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
             'measured = ["suspension_deflection"]\n',
             "integrates the noise of suspension_deflection",
         ),
-        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is a zero, too"),
+        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is cancelled by a zero"),
         (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: its denominator has a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),

@@ -315,7 +315,7 @@ def test_a_forged_preview_is_found(log, forged, said):
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ('design = "preview"', "preview is missing; give seconds, as in preview = 0.5"),
+        ('design = "preview"', "needs its preview of the road ahead; give seconds, as in preview = 0.5"),
         ('design = "preview"\npreview = -1', "preview = -1 is not allowed; give seconds from 0 to 60"),
         ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" is of the state'),
         ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: it is of the state itself"),
@@ -337,7 +337,7 @@ def test_a_filter_has_states_that_none_measures():
 
 def test_dampers_cannot_push():
     """A vehicle of adjustable dampers has no such design, and says why."""
-    with refused("acts before the road does, and semi-active dampers only resist motion"):
+    with refused("acts before the road does, but semi-active dampers only resist motion"):
         parse_vehicle(read_vehicle("quarter_car_semi_active").text + SECTION.format(0.5))
 
 

@@ -220,7 +220,7 @@ def test_small_noise_and_cost_are_taken_as_given(part, cost):
 def test_noise_too_small_for_floats():
     """Noise that no Riccati equation in floats keeps is refused in a line that gives its size, and never replaced."""
     plant, Cy, noise = little_noise(1e-4)
-    with pytest.raises(DesignError, match=r"noise of a measurement is \S+ of the plant's own size.*give more, or none"):
+    with pytest.raises(DesignError, match=r"noise of a measurement is \S+ of the plant's own size.*give more, or omit it"):
         lqg_design(plant, Cy, noise)
 
 

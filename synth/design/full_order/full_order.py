@@ -60,7 +60,7 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
     at_once = np.eye(len(D)) + D @ where.Dyu
     if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ where.Dyu, 2)):
         raise DesignError(
-            "the full-order law is infinite at z = -1, where the plant has a pole that is moved before it is mapped; take that "
+            "the full-order law would be infinite at z = -1, where the plant has a pole; take that "
             "pole out of the model, or design a static gain"
         )
     after = np.linalg.inv(at_once)
@@ -212,7 +212,7 @@ def full_order_design(
         raise InfeasibleError(reasons)
     if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
         raise InputError(
-            "a discrete plant has a sample period, which limits the speed of its loop; omit fastest_pole and fastest"
+            "the sample period of a discrete plant already limits the speed of its loop; omit fastest_pole and fastest"
         )
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
@@ -262,12 +262,12 @@ def full_order_design(
             raise DesignError(str(lost[0])) from lost[0]
         if trade:
             raise DesignError(
-                f"no law was found whose loop is as slow as fastest_pole = {fastest * search.fastest:.4g} rad/s; the slowest has "
-                f"a pole of {trade[0].pole:.4g} rad/s: give that or more"
+                f"no law was found that keeps all poles of its loop within fastest_pole = {fastest * search.fastest:.4g} rad/s; "
+                f"the slowest loop has a pole of {trade[0].pole:.4g} rad/s: give at least that"
             )
         raise DesignError(
-            "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
-            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
+            "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
+            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size); measure more signals, or use other units"
         )
 
     def fits(each: TradeOffPoint) -> bool:
@@ -291,9 +291,7 @@ def full_order_design(
                 against = _against(own, unconstrained, as_run) + undescended
                 return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
         laws = [each for each in laws if each is not best]
-    raise DesignError(
-        f"no law was found that is stable by itself, only one that is not{undescended}; omit stable = true, or measure more"
-    )
+    raise DesignError(f"every law found is unstable by itself{undescended}; omit stable = true, or measure more signals")
 
 
 def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[LinearLaw], LinearLaw]) -> str:

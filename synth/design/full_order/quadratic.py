@@ -176,7 +176,7 @@ def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     rows, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
     if len(rows) < n:
         raise DesignError(
-            f"LQR feeds back every state, and {len(rows)} of {n} are measured; those of filters in [performance] never are: "
+            f"LQR feeds back all {n} states, but only {len(rows)} are measured (states of filters in [performance] never are); "
             'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
     return rows
@@ -228,7 +228,7 @@ def _design(
         what = "noise of a measurement" if least < least_cost else "cost of a force"
         raise DesignError(
             f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too little for floats: give more, or "
-            f"none, for which {100 * ASSUMED:g} % is assumed"
+            f"omit it to use {100 * ASSUMED:g} %"
         ) from error
     share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
     remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""

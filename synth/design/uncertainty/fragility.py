@@ -125,7 +125,7 @@ def fragility(gain: ScaledGain) -> Fragility:
     heights = WorstCaseNormFunction(gain)
     norm = heights.norm(_at(gain, 0.0))
     if not np.isfinite(norm):
-        raise ValueError("the loop is unstable as it is")
+        raise ValueError("the nominal loop is unstable")
     rays = _rays(heights)
     return Fragility(norm, _borne(heights, rays, np.inf), heights, rays)
 
