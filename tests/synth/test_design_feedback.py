@@ -263,10 +263,10 @@ def test_words_that_need_others_or_are_none():
         ({"bounds": peak}, "bounds: a peak over a road needs a vehicle"),
         ({"minimise": {"signals": {"z9": 1.0}}}, "unknown signal 'z9'; this vehicle has z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
-        ({"order": 3}, "order = 3 is more than the 2 states of the plant; give at most 2"),
+        ({"order": 3}, "order = 3 exceeds the 2 states of the plant; give at most 2"),
         ({"order": -1}, "order = -1 is not known; known: full, static, or a number of states from 0"),
         ({"structure": "pid"}, "needs the time constant of the derivative's low-pass"),
-        ({"pid": {"kp": 1.0}}, 'goes with structure = "pid", which is designed'),
+        ({"pid": {"kp": 1.0}}, 'needs structure = "pid"; give both'),
         ({"family": [of_lists([[-1]], [[1]], [[1]], [[1]], [[0]])]}, "Cy has shape"),
         ({"tolerance": {"y2": 0.1}}, "tolerance names 'y2'; give force, u1, y1; force is all forces"),
     ):
