@@ -171,11 +171,11 @@ CHEAP = {  # levels that the suite has, of features with others that take long
     "command": ("synth", "export", "bump", "drive", "inspect", "campaign"),
 }
 REFUSALS = (  # what is no fault of a file, and which command it does not go with
-    "no linear loop to analyse",
+    "no linear loop",
     "no sample period: give [implementation] sample_period",
     "an export has its feedback of measured signals alone",
     "is a law in Python, and its own code",
-    "those of filters in [performance] never are",
+    "states of filters in [performance] never are",
     "no sensor reads the states of filters in [performance]",
     "is not an integer; code gives forces at samples",
     "adjustable dampers with curves are not exported",
