@@ -3,7 +3,8 @@
 Many gains attain the optimum, so two solvers agree in gamma but not in the gain. A second problem therefore has our gain fixed.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,11 @@ class CrossCheck:
     def above(self) -> float | None:
         """Relative excess of our gain's gamma over their optimum."""
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The comparison as JSON."""
+        return {**asdict(self), "apart": self.apart, "above": self.above}
 
     @property
     def failures(self) -> tuple[str, ...]:

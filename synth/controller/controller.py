@@ -75,6 +75,11 @@ class Controller(ControlLaw, Checked, Shown):
     preview: "RoadPreview | None" = None
     code: Any = None
 
+    @classmethod
+    def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
+        """Returns the designed controller of a section of the vehicle file; `more` are other attributes."""
+        return cls(entry.name, entry.measured, law, True, certificate, **{"hardware": entry.hardware} | more)
+
     @property
     def kind(self) -> str:
         """Kind of its law, in words, with an article."""
@@ -150,6 +155,11 @@ class Controller(ControlLaw, Checked, Shown):
     def unmet_specifications(self) -> tuple[str, ...]:
         """The specifications that are not kept, or not proved, in words."""
         return tuple(f"not kept: {promise.text}" for promise in self.specifications if not promise.holds)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims of its certificate and its specifications that do not hold, in words."""
+        return (*self.certificate.failures, *self.unmet_specifications)
 
     @at_the_door
     def problem(self, vehicle: Vehicle) -> Problem:

@@ -48,19 +48,16 @@ def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Pr
     """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
     beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
-    return Controller(
-        entry.name,
-        entry.measured,
+    return Controller.of(
+        entry,
         posed.on_readings(static_law(design.gain).fed_back(-posed.feedthrough)),
-        designed=True,
-        certificate=design.certificate,
+        design.certificate,
         state_step_gap=design.state_step_gap,
         optimum_gap=design.optimum_gap,
         moved=design.moved,
         redundant=redundant,
-        degeneracy="; ".join(said for said in (design.case, beside) if said),
+        degeneracy="; ".join(filter(None, (design.case, beside))),
         fallback_method=design.instead,
-        hardware=entry.hardware,
     )
 
 
@@ -330,7 +327,7 @@ class Designer:
         )
         law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
         certificate = replace(designed.certificate, below=lower_bound)
-        return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
+        return Controller.of(entry, law, certificate, remarks=designed.remarks)
 
     def _structured(
         self,
@@ -348,9 +345,7 @@ class Designer:
             posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable, on_found=on_found
         )
         law = replace(found.law, anti_windup=entry.anti_windup)
-        return Controller(
-            entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware
-        )
+        return Controller.of(entry, law, found.certificate, remarks=found.remarks)
 
     @at_the_door
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":

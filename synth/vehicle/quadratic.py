@@ -1,7 +1,5 @@
 """A controller of a vehicle file with the smallest mean square, from Riccati equations: LQR, LQG, H2, or preview LQ."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from models.common.errors import InputError
@@ -11,10 +9,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
 from synth.design.full_order.preview import preview_design
-from synth.design.full_order.quadratic import (
-    AT_ONCE,
-    state_rows,
-)
+from synth.design.full_order.quadratic import AT_ONCE, state_rows
 from synth.plant.numerics import DesignError
 
 
@@ -64,5 +59,4 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {design.h2_norm:.7g}, and {design.without:.7g} "
         f"without, the rms of z where road velocity is white noise of intensity one{AT_ONCE if np.any(posed.plant.Dw) else ''}"
     )
-    made = Controller(entry.name, entry.measured, law, True, design.certificate, remarks=(best,), hardware=entry.hardware)
-    return replace(made, preview=ahead)
+    return Controller.of(entry, law, design.certificate, remarks=(best,), preview=ahead)

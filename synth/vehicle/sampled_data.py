@@ -91,13 +91,4 @@ def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound,
         certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"the law for the sampled loop has no ideal loop: {error}") from error
-    return Controller(
-        entry.name,
-        entry.measured,
-        law,
-        designed=True,
-        certificate=certificate,
-        remarks=(remark,),
-        hardware=entry.hardware,
-        sampled=True,
-    )
+    return Controller.of(entry, law, certificate, remarks=(remark,), sampled=True)

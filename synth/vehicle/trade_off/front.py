@@ -129,12 +129,8 @@ def front(
         law = static_law(trace.gain(each))
         certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
-        promises = judged(law.D)
-        controller = Controller(
-            entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, specifications=promises
-        )
-        claims = certificate.bound is not None and not (certificate.failures or controller.unmet_specifications)
-        if claims and all(np.isfinite(norm.proved) for norm in norms):
+        controller = Controller.of(entry, law, certificate, specifications=judged(law.D))
+        if certificate.bound is not None and not controller.failures and all(np.isfinite(norm.proved) for norm in norms):
             points.append(Point(controller, norms))
         else:
             unproved += 1
