@@ -17,7 +17,6 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, problem
-from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
@@ -232,6 +231,5 @@ def _limits(
 ) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
-    bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
-    return limits(plants, bands, np.where(units > 0, units, 1.0))
+    return limits(plants, [axis.norm.rates for axis in axes], np.where(units > 0, units, 1.0))
