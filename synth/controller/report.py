@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm
+from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rate_digits
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
 from synth.controller.law_margins import law_margins
@@ -208,7 +208,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
         "The disturbance w is the road's velocity under every wheel and the height of its "
-        f"{listing(felt)}: 1 m counts as {model.twist_rate:.4g} m/s."
+        f"{listing(felt)}: 1 m counts as {rate_digits(model.twist_rate)} m/s."
     ]
 
 
@@ -251,7 +251,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """Returns notes on a law that is unstable by itself, its small margins, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up where forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
-    notes = [f"this law is unstable by itself (+{margins.growth:.4g} 1/s){winds}"] if margins.growth else []
+    notes = [f"this law is unstable by itself (+{rate_digits(margins.growth)} 1/s){winds}"] if margins.growth else []
     notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
