@@ -31,6 +31,7 @@ from synth.controller.report import (
     NORM,
     PEAK,
     REACHED,
+    SAME,
     SAMPLED,
     SLOWEST_POLE,
     built_words,
@@ -44,8 +45,6 @@ from synth.controller.report import (
     norm_record,
     notes_on_sampled_loop,
     pid_line,
-    relative_difference_text,
-    sampled_lines,
     sign_note,
     twist_lines,
 )
@@ -155,7 +154,10 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     blocks.append(
         Table.of("designs", "Norms, bounds and certificates of all controllers.", fields, rows, words=2, detail="brief")
     )
-    blocks += notes(*ideal_lines(vehicle, controllers), *([] if apart else sampled_lines(vehicle)))
+    blocks += notes(*ideal_lines(vehicle, controllers))
+    if not (apart or vehicle.implementation.undelayed):
+        text = "The column sampled is the norm of the sampled-data loop, including the motion between samples"
+        blocks += notes(f"{text}: {built_words(vehicle)}.")
     blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
@@ -195,7 +197,8 @@ def _difference(row: Row) -> str:
     one, norm = row.controller, row.sampled
     if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
-    return relative_difference_text(norm.value, one.certificate.norm.value)
+    share = norm.value / one.certificate.norm.value - 1
+    return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
 
 
 NORMS: tuple[Field[Row], ...] = (
