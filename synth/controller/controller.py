@@ -78,7 +78,7 @@ class Controller(ControlLaw, Checked, Shown):
     @classmethod
     def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
         """Returns the designed controller of a section of the vehicle file; `more` are other attributes."""
-        return cls(entry.name, entry.measured, law, True, certificate, **{"hardware": entry.hardware} | more)
+        return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
 
     @property
     def kind(self) -> str:

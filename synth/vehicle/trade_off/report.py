@@ -82,10 +82,10 @@ def _results(front: Front) -> list[str]:
     for one in front.others:
         better = np.flatnonzero(np.all(front.values < one.values, axis=1)) + 1
         beaten[one.controller.name] = f"{len(better)} (such as point {better[len(better) // 2]})" if len(better) else "none"
-    texts = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}."]
-    texts += [f"{front.unproved} other designs are omitted, because a claim could not be proved."] if front.unproved else []
+    texts = [f"{len(front.points)} certified designs, none better than another on all axes: {ends}."]
+    texts += [f"{front.unproved} other designs are omitted, as a claim could not be proved."] if front.unproved else []
     alike = ", ".join(f"than {names} {text}" for text, names in by_text(beaten.items()).items())
-    return [*texts, f"Designs that are better in all axes: {alike}."] if alike else texts
+    return [*texts, f"Designs that are better on all axes: {alike}."] if alike else texts
 
 
 def front_object(front: Front) -> dict[str, Any]:
@@ -152,9 +152,9 @@ def _limit_texts(front: Front) -> list[str]:
         first, second = (front.axes[k].name for k in limit.axes)
         shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
-        near = f"point {i + 1} is nearest, at {MUJOCO.digits(float(shares[i]))} times the line of {first} and {second}"
+        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}, at {MUJOCO.digits(float(shares[i]))} times"
         no = f"nothing is proved about {first} and {second} together"
-        texts.append(f"Limit: {f'{near} that no controller crosses' if math.isfinite(shares[i]) else no}.")
+        texts.append(f"Limit: {f'{near} the bound' if math.isfinite(shares[i]) else no}.")
     return texts
 
 
@@ -182,7 +182,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")
-    title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none of which another beats in all"
+    title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none better than another on all axes"
     return Figure("front", title, panels, 3 if len(panels) > 1 else 1)
 
 
@@ -206,7 +206,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     joined = Curve(x, y, "designs on the front", DESIGNS, "solid", "", 2.2)
     low, bound = line(limit, *ranges)
     curves = [joined if len(front.axes) == 2 else dots]
-    curves.append(Curve(low, bound, "no controller comes below this line", LINE, "dot", width=1.2))
+    curves.append(Curve(low, bound, "lower bound for every controller", LINE, "dot", width=1.2))
     look = styles(tuple(others))
     for names in _together(others, beyond, ranges):
         (x, y), text, (color, _, marker) = np.array(others[names[0]])[:, None], ", ".join(names), look[names[0]]
