@@ -87,17 +87,15 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         controller: controller as designed, not refined.
         zero_l: True for a problem with L = 0.
     """
-    bound = controller.certificate.bound
+    bound, steps = controller.certificate.bound, controller.steps
     shared = designer.shared(controller.hardware)
     problem = well_posed(shared.plant)
     if (
-        not controller.designed
+        steps is None
         or controller.fallback_method
         or controller.law.states
         or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
-        or controller.sampled
         or controller.specifications
-        or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
         or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
@@ -111,7 +109,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     else:
         which, Q = "(25)", nullspace(rows)
         path = shared.state_path
-        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
+        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - steps.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
     # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
@@ -141,6 +139,4 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         optima[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
             remarks.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return CrossCheck(
-        which, bound / (1 + controller.optimum_gap), controller.optimum_gap, optima[0], optima[1], "; ".join(remarks)
-    )
+    return CrossCheck(which, bound / (1 + steps.optimum_gap), steps.optimum_gap, optima[0], optima[1], "; ".join(remarks))

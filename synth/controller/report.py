@@ -284,15 +284,16 @@ def notes(controller: Controller) -> tuple[str, ...]:
         *judged_lines(controller),
         *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),
     ]
-    if controller.state_step_gap > SHORT:
-        gap = percent(controller.state_step_gap)
+    steps = controller.steps
+    if steps is not None and steps.state_step_gap > SHORT:
+        gap = percent(steps.state_step_gap)
         texts.append(f"designed from an X {gap} short of the best state feedback; the best X leads to no design")
-    if controller.optimum_gap > SHORT:
-        gap = percent(controller.optimum_gap)
+    if steps is not None and steps.optimum_gap > SHORT:
+        gap = percent(steps.optimum_gap)
         texts.append(f"its bound is {gap} above the optimum, which only gains beyond any actuator reach")
-    elif controller.moved > SETTLED:
+    elif steps is not None and steps.moved > SETTLED:
         texts.append(
-            f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
+            f"gain not settled: over the last step of its path it moved by {percent(steps.moved)} of its largest entry, so "
             "its digits are not those of the optimum; norm and bound hold for the printed gain"
         )
     if controller.redundant:
