@@ -48,7 +48,7 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
-    note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
+    note = note or ("its certificate does not hold" if entry.certificate else "the file has no certificate for it")
     said = (*judged_lines(controller), *controller.remarks, *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
 
@@ -65,4 +65,4 @@ def proved(designer: Designer, controller: Controller) -> tuple[Controller, tupl
     certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)
     if certified.bound is None:
         return controller, (UNPROVED,)
-    return replace(controller, certificate=certified), ("its law is given; its bound is proved here",)
+    return replace(controller, certificate=certified), ("its law is from the file; its bound is proved here",)

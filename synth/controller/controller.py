@@ -24,6 +24,7 @@ from synth.plant.generalized import GeneralizedPlant
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
     from synth.analysis.specification import Specification
+    from synth.design.two_step import Design
 
 
 SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
@@ -38,11 +39,7 @@ class Controller(ControlLaw, Checked, Shown):
         measured: the q measured signals y. Empty for `passive`.
         law: the law from y to the m forces; a static one is u = K y.
         designed: True if it was designed here; otherwise the law was given (or is zero, for `passive`).
-        state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
-            central path, more if the second problem is infeasible from there.
-        optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
-            gains beyond any actuator reach the optimum.
-        moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
+        steps: the `Design` in two steps that its gain is from; None for other laws.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: certificate of the closed loop.
         degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
@@ -61,9 +58,7 @@ class Controller(ControlLaw, Checked, Shown):
     law: LinearLaw
     designed: bool
     certificate: Certificate
-    state_step_gap: float = 0.0
-    optimum_gap: float = 0.0
-    moved: float = 0.0
+    steps: "Design | None" = None
     redundant: tuple[str, ...] = ()
     degeneracy: str = ""
     fallback_method: str = ""
@@ -74,6 +69,11 @@ class Controller(ControlLaw, Checked, Shown):
     specifications: "tuple[Specification, ...]" = ()
     preview: "RoadPreview | None" = None
     code: Any = None
+
+    @classmethod
+    def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
+        """Returns the designed controller of a section of the vehicle file; `more` are other attributes."""
+        return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
 
     @property
     def kind(self) -> str:
@@ -150,6 +150,11 @@ class Controller(ControlLaw, Checked, Shown):
     def unmet_specifications(self) -> tuple[str, ...]:
         """The specifications that are not kept, or not proved, in words."""
         return tuple(f"not kept: {promise.text}" for promise in self.specifications if not promise.holds)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims of its certificate and its specifications that do not hold, in words."""
+        return (*self.certificate.failures, *self.unmet_specifications)
 
     @at_the_door
     def problem(self, vehicle: Vehicle) -> Problem:

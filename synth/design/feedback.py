@@ -24,6 +24,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
+from synth.analysis.specification import digits
 from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
@@ -84,8 +85,8 @@ class FeedbackDesign(Shown):
         """Returns law, method, reason and certificate as text."""
         title, proved = self.certificate.shown
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
-        value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
-        value |= {"sampled lower bound": f"{self.sampled_lower_bound:.7g}"} if self.sampled_lower_bound is not None else {}
+        value = {self.criterion: digits(self.value)} if self.criterion != "norm" else {}
+        value |= {"sampled lower bound": digits(self.sampled_lower_bound)} if self.sampled_lower_bound is not None else {}
         remark = {"remark": self.remark} if self.remark else {}
         return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **remark}
 
@@ -243,7 +244,7 @@ def _distance(certificate: Certificate) -> str:
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller beats its norm"
     if certificate.gap is not None:
-        return f"its norm is {percent(certificate.gap)} above {certificate.lower_bound:.7g}, which no controller beats"
+        return f"its norm is {percent(certificate.gap)} above {digits(certificate.lower_bound)}, which no controller beats"
     return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
 
 

@@ -29,6 +29,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
+from synth.analysis.specification import digits
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
@@ -254,8 +255,8 @@ def _gain(
         quietly = not problem.noise.size
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
-        further = f"{which} to {least:.7g}" if least < norm else f"descent from them to {reached:.7g}"
-        why = f"they come to {norm:.7g}, and {further}" if quietly else "they know no noise"
+        further = f"{which} to {digits(least)}" if least < norm else f"descent from them to {digits(reached)}"
+        why = f"they come to {digits(norm)}, and {further}" if quietly else "they know no noise"
     else:
         if K is not None:
             failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
@@ -332,7 +333,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
         if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
             return point.K, reached
         tries.failures.insert(
-            0, DesignError(f"the loop of its gain does not keep the level {reached:.7g}: rounding ends it there")
+            0, DesignError(f"the loop of its gain does not keep the level {digits(reached)}: rounding ends it there")
         )
     raise tries.failures[0]
 
@@ -424,7 +425,9 @@ def _level(
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
+    raise DesignError(
+        f"the level of the sampled loop was not found in {ROUNDS} rounds, between {digits(below)} and {digits(above)}"
+    )
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:

@@ -310,7 +310,7 @@ def test_check_needs_no_solver(capsys, tmp_path):
         [sys.executable, "-c", code, "--check", str(tmp_path / "car.toml")], capture_output=True, text=True, check=True
     )
     assert "checked: every claim of its certificate holds" in done.stdout
-    assert "came without a certificate" in done.stdout
+    assert "the file has no certificate for it" in done.stdout
 
 
 def test_no_file_of_the_users_own_is_replaced(capsys, tmp_path):

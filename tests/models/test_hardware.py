@@ -165,7 +165,7 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert main(["--vehicle", str(file), "--controller", "one", "--save", str(saved), "-v"]) == 0
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
-    assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
+    assert "norm and bounds include noise" in " ".join(capsys.readouterr().out.split())
     asked = ["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--duration", "0.5"]
     assert bump([*asked, "--logs", str(logs)]) == 0
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0

@@ -299,9 +299,9 @@ def test_an_unstable_pid_says_what_its_signs_mean():
     wrong = designer.design("mine")
     (failure,) = answers([Row("mine", wrong, (), wrong.certificate.failures)], True)
     assert failure.text.startswith(
-        "`mine` FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd gives a force that lifts the body"
+        "`mine` FAILS: unstable: a pole at 0.04497 1/s; with a positive kp, ki or kd the force lifts the body"
     )
-    with pytest.raises(InputError, match="against it gains are negative"):
+    with pytest.raises(InputError, match="gains against it are negative"):
         _check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)
     right = quarter_car(pid_section(kp=-2000.0, ki=-500.0)).design("mine")
     assert sign_note(right) == ""

@@ -182,7 +182,7 @@ def test_designed_for_its_errors():
     assert controller.certificate.norm.value < performance.value <= performance.proved < 0.92
     assert stability.holds
     assert not controller.certificate.failures
-    assert "designed for the least robust performance" in controller.remarks[0]
+    assert "designed for the smallest robust performance" in controller.remarks[0]
 
 
 def test_no_sampled_error_does_more():

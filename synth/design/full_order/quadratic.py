@@ -30,7 +30,7 @@ from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
-AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
+AT_ONCE = ", without its direct effect on z, which has infinite power"
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
 LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure

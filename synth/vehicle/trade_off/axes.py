@@ -1,7 +1,7 @@
 """Axes of a trade-off, each a proved norm to be minimised, and their landscapes."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.laws.goals import NormOf
+from models.laws.goals import EVERYWHERE, NormOf
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
@@ -27,6 +27,8 @@ OFF = 0.1  # of a reading
 LOWEST, HIGHEST = 1e-3, 1e3  # Hz, of a band
 FEWEST, MOST = 2, 3
 ACCELERATIONS = ("m/s2", "rad/s2")
+AXES = ("ride", "travel", "road_holding", "force", "band", "tolerance")
+DEFLECTIONS = {"travel": "suspension_deflection", "road_holding": "tyre_deflection"}
 NUMBER = r"\d+(?:\.\d*)?"
 
 
@@ -75,37 +77,26 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
             raise InputError(f"--front names {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
             raise InputError(f"--front {part}: {name} takes nothing behind it; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
-        axes.append(AXES[name](vehicle, given if equals else None))
+        axes.append(_axis(vehicle, name, given if equals else None))
     return tuple(axes)
 
 
-def _ride(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _accelerations(vehicle, "ride")
-    return FrontAxis(
-        "ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals)
-    )
-
-
-def _band(vehicle: Vehicle, given: str | None) -> FrontAxis:
-    low, high = BAND if given is None else _edges(given)
-    signals = _accelerations(vehicle, "band")
-    text = f"norm from the road's velocity to {_weighed(signals)} from {low:g} to {high:g} Hz"
-    return FrontAxis("band", NormOf(signals, (low, high)), 0.0, text, _unit(vehicle, signals))
-
-
-def _travel(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _called(vehicle, "travel", "suspension_deflection")
-    return FrontAxis("travel", NormOf(signals), 0.0, "norm from the road's velocity to suspension deflection", "m per m/s")
-
-
-def _road_holding(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _called(vehicle, "road_holding", "tyre_deflection")
-    return FrontAxis("road_holding", NormOf(signals), 0.0, "norm from the road's velocity to tyre deflection", "m per m/s")
-
-
-def _force(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = dict.fromkeys(vehicle.linear_model.inputs, 1.0)
-    return FrontAxis("force", NormOf(signals), 0.0, "norm from the road's velocity to control force", "N per m/s")
+def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
+    """Returns the axis of a name, with the value that is given behind it, if any."""
+    if name == "tolerance":
+        return _tolerance(vehicle, given)
+    if name == "force":
+        signals, of, unit = dict.fromkeys(vehicle.linear_model.inputs, 1.0), "control force", "N per m/s"
+    elif name in DEFLECTIONS:
+        signals, of, unit = _called(vehicle, name, DEFLECTIONS[name]), DEFLECTIONS[name].replace("_", " "), "m per m/s"
+    else:
+        signals = _accelerations(vehicle, name)
+        of, unit = _weighed(signals), _unit(vehicle, signals)
+    text, band = f"norm from the road's velocity to {of}", EVERYWHERE
+    if name == "band":
+        band = BAND if given is None else _edges(given)
+        text += f" from {band[0]:g} to {band[1]:g} Hz"
+    return FrontAxis(name, NormOf(signals, band), 0.0, text, unit)
 
 
 def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
@@ -122,16 +113,6 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
         )
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
-
-
-AXES: Mapping[str, Callable[[Vehicle, str | None], FrontAxis]] = {
-    "ride": _ride,
-    "travel": _travel,
-    "road_holding": _road_holding,
-    "force": _force,
-    "band": _band,
-    "tolerance": _tolerance,
-}
 
 
 def _edges(given: str) -> tuple[float, float]:
