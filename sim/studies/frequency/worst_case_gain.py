@@ -277,8 +277,6 @@ def _told(loop: LoopModel, poles: Array, count: int) -> int:
     return max(count, math.ceil(TOLD_APART / loop.period) * loop.steps) if len(poles) else count
 
 
-
-
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
     """Returns whole periods, as `whole_periods`, so near the worst sinusoid that a narrow peak is met, too."""
     steps = steps_per_sample(vehicle.implementation, timestep)  # whole samples, too, so that every run of them is the same

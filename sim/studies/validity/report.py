@@ -247,7 +247,7 @@ def envelope_figure(cells: Cells) -> Figure:
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
     curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
     curves += _markers(cells, places)
-    return _figure(cells, LABELS[horizontal.name], LABELS[vertical.name], curves=curves, ground=ground)
+    return _figure(cells, LABELS[horizontal.name], LABELS[vertical.name], curves, ground)
 
 
 ENCLOSED = "MuJoCo: height enclosed by two runs"
@@ -272,8 +272,8 @@ def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
     return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
 
 
-def _figure(cells: Cells, *labels: str, curves: Sequence[Curve], ground: Classes | None = None) -> Figure:
-    panel = Panel("", *labels, tuple(curves), ground)
+def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], ground: Classes | None = None) -> Figure:
+    panel = Panel("", xlabel, ylabel, tuple(curves), ground)
     which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, with {cells.fixed_text}"
     which += f", under {PLUS.join(load.label for load in cells.loads)}" if cells.loads else ""
     title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
@@ -294,7 +294,7 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
         curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
-    return _figure(cells, LABELS[axis.name], "share of the way to a limit", curves=curves)
+    return _figure(cells, LABELS[axis.name], "share of the way to a limit", curves)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
