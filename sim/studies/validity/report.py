@@ -204,8 +204,8 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
-        text += f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher. Over lower ones, no limit is reached, "
-        text += f"and analysis is within {off} of every peak. Over higher ones, this limit is reached."
+        text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
+        text += f"and analysis is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
     note = f"One linear run of the implemented loop{noise} predicts the height. Runs take {runs}."
     caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
