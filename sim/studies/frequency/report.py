@@ -48,7 +48,7 @@ GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
     Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
-    Field("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
+    Field("share of norm", lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format, 100.0),
     *(Field[Sweep](road, lambda one, road=road: one.gains.get(road), "{:.4g}".format) for road in ("bump", "chirp", "random")),
 )
 NORMS: tuple[Field[Sweep], ...] = (
@@ -73,15 +73,15 @@ MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
     Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
     Field("fundamental", lambda of: np.nanmax(np.abs(of[0].measured[:, of[1]])), "{:.4g}".format),
     Field("at [Hz]", lambda of: of[0].omega[np.nanargmax(np.abs(of[0].measured[:, of[1]]))], "{:.3g}".format, HZ),
-    Field("energy outside", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
-    Field("at, in Hz", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
+    Field("energy at other frequencies", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
+    Field("most for a road of [Hz]", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
 )
 LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("controller", lambda of: of[0]),
-    Field("wheel's", lambda of: of[1].tyre.replace("_", " ")),
+    Field("tyre", lambda of: of[1].tyre.replace("_", " ")),
     Field("least load, predicted", lambda of: of[1].ratio, ".2f", 100, unit="%"),
     Field("MuJoCo", lambda of: of[1].measured, ".2f", 100, unit="%"),
-    Field("at", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
+    Field("frequency", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
     Field("linear regime ended by", lambda of: of[1].end or "-"),
 )
 

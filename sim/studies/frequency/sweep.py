@@ -51,11 +51,6 @@ class Sweep:
         return self.lines.controller
 
     @property
-    def omega(self) -> Array:
-        """Returns the frequencies of the lines [rad/s], shape (F,)."""
-        return self.lines.omega
-
-    @property
     def worst_omega(self) -> float:
         """The worst sinusoid that was driven [rad/s]."""
         return self.extremes.tried

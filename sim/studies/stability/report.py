@@ -73,7 +73,7 @@ BOX: tuple[Field[StabilityMargins], ...] = (
     Field("worst norm", lambda of: of.box and of.box.norm, NORM.form),
     Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
     Field("at", lambda of: of.box and _values(of.box.at)),
-    Field("corners: MuJoCo and analysis say the", lambda of: of.box and ("same" if of.box.holds else "NOT THE SAME")),
+    Field("MuJoCo at the corners", lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE")),
     Field("margins", lambda of: "DOES NOT AGREE" if of.wrong else "agrees"),
 )
 
@@ -102,10 +102,7 @@ def margins_object(found: StabilityMargins) -> dict[str, Any]:
 
 
 def _box_object(box: Robustness) -> dict[str, Any]:
-    corners = [
-        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
-        for corner in box.corners
-    ]
+    corners = [one.parameters | {"norm": finite(one.norm), "stable": one.decays, "agrees": one.agrees} for one in box.corners]
     varied = {one.name: [one.smallest, one.largest] for one in box.varied}
     return {"varied": varied, "computed": box.computed, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
 
@@ -138,7 +135,7 @@ def _sampled_object(margin: GainMargin, timestep: float) -> dict[str, Any]:
 
 def describe(found: StabilityMargins) -> Document:
     """Returns the margins of a controller as a document."""
-    vehicle, controller, fragile = found.vehicle, found.controller, found.fragile
+    vehicle, controller = found.vehicle, found.controller
     loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
     loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
@@ -150,15 +147,21 @@ def describe(found: StabilityMargins) -> Document:
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
+    blocks += [_errors_document(found), _box_document(found)]
+    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
+
+
+def _errors_document(found: StabilityMargins) -> Document:
+    """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
+    controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
     stable = fragile.predicted.stable.proved_margin
     first = f"with errors of up to {ERROR.text(stable)} of each signal is proved" if stable else "with errors is not proved"
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
-    details = [f"the worst errors are {_worst_errors(found)}"] * (len(_worst_errors(found)) > WIDTH - HANG)
+    details = [f"the worst errors are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
     others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
     promises = notes(*(promise.text for promise in controller.robustness))
-    blocks += [Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises)), _box_document(found)]
-    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
+    return Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
