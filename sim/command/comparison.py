@@ -18,9 +18,12 @@ from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.physics.simulate import simulate
 from sim.response.regime import FLAT, REGIME_ENDS, reached
+from sim.response.response import Response
 from sim.runs.report import FEW, describe_run, shared
-from sim.runs.run import Reference, Run, reference, run_controllers
+from sim.runs.result import Run
+from sim.runs.run import run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
 from synth.controller.open_loop import LoopModel
@@ -223,20 +226,20 @@ def run_named(
     return run_controllers(vehicle, controllers, road, time)
 
 
-def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
-    """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
-    passive = next((run for run in runs if run.controller.name == PASSIVE), None)
-    return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
+def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
+    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
+    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
+    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
 
 
-def run_lines(runs: Sequence[Run], passive: Run | Reference | None = None) -> list[str]:
+def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
     """Returns the lines on runs above the table: claims and warnings of few controllers, and why a run fails or diverges.
 
     Args:
-        passive: run of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
+        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
     """
     if passive is not None:
-        documents = [describe_run(run, None if run is passive else passive) for run in runs]
+        documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in describe_run(run).statements if one.detail == "normal"]
@@ -250,7 +253,7 @@ def run_lines(runs: Sequence[Run], passive: Run | Reference | None = None) -> li
 
 def standings_of(
     runs: Sequence[Run],
-    passive: Run | Reference,
+    passive: Response,
     samples: tuple[int, int | None] = (0, None),
     measured: "Sequence[RunMetrics]" = (),
     without: Sequence[str] = (),
@@ -272,10 +275,12 @@ def standings_of(
         id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
         for run, of_run in zip(runs, measured, strict=False)
     }
-    rows = [(PASSIVE, "", runs[0].vehicle, passive.physics)]
+    rows = [(PASSIVE, "", runs[0].vehicle, passive)]
     parts = without or [""] * len(runs)
     rows += [
-        (run.controller.name, part, run.vehicle, run.physics) for run, part in zip(runs, parts, strict=True) if run is not passive
+        (run.controller.name, part, run.vehicle, run.physics)
+        for run, part in zip(runs, parts, strict=True)
+        if run.physics is not passive
     ]
     order, standings = [name for name, *_ in rows], []
     for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):

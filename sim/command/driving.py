@@ -20,8 +20,10 @@ from models.vehicle.names import logged_variant, named_files, run_without, varia
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines, gaps, starts_later
+from sim.response.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
-from sim.runs.run import Reference, Run, run_controllers, sample_times
+from sim.runs.result import Run
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
@@ -64,8 +66,8 @@ class Driven:
         return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in self._pairs]
 
     @cached_property
-    def passive(self) -> Run | Reference:
-        """The run of the passive vehicle."""
+    def passive(self) -> Response:
+        """MuJoCo's response of the passive vehicle."""
         return comparison.passive_beside(self.built, self.design)
 
     def logged(self) -> dict[str, Run]:

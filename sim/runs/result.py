@@ -1,20 +1,18 @@
 """Results of runs: physics, its prediction, and their comparison."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from models.common.arrays import Array
-from models.roads.road import Road, RoadInput
+from models.common.printed import Shown, html_table
+from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
 from sim.runs.agreement import Agreement
-from sim.runs.prediction import Prediction, predicted
-from synth.controller.controller import AnyController, Controller
+from sim.runs.prediction import Prediction
+from synth.controller.controller import AnyController
 
 
 @dataclass(frozen=True)
@@ -33,15 +31,15 @@ class HalfStep:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RunResult:
-    """Run of physics with its prediction.
+class Run(Shown):
+    """Run of physics with its prediction, and its view at a prompt and in a notebook.
 
     Attributes:
         prediction: linear analysis of this vehicle, controller and road.
         physics: the response in MuJoCo.
         agreement: physics against analysis.
-        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
-        energy: energy balance, or None for such a run.
+        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run without its energy balance.
+        energy: energy balance, or None.
         half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
             noisy or quantised, which differs at other steps.
     """
@@ -100,23 +98,23 @@ class RunResult:
         """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
         return self.agrees and (self.energy is None or not self.energy.fails)
 
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns the verdict, and the vehicle, road and times as text."""
+        from sim.runs.report import verdict
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Run of a linear controller for comparison in tables, without a verdict.
+        return f"run of {self.controller.name}: {verdict(self).text}", {
+            "vehicle": self.vehicle.kind.name,
+            "road": self.road.words,
+            "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
+        }
 
-    Attributes:
-        physics: response in MuJoCo.
-        controller: the controller.
-        input: the vehicle and its road.
-    """
+    def _repr_html_(self) -> str:
+        from models.document.figure import Style
+        from models.document.notebook import BLUE, notebook_figure
+        from sim.runs.report import signal_table
+        from sim.runs.time_histories import history_panels
 
-    physics: Response
-    controller: Controller
-    input: RoadInput
-
-    @cached_property
-    @np.errstate(over="ignore", invalid="ignore")
-    def sampled(self) -> Response:
-        """The exact linear response of the sampled loop."""
-        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled
+        table, look = signal_table(self), {self.controller.name: Style(BLUE, "solid", "o")}
+        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
+        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))

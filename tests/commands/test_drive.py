@@ -181,4 +181,4 @@ def test_a_flat_road_changes_nothing(paper, designer, height, shares):
     """Over a flat road nothing moves, and there is no share of what rounding leaves."""
     controllers = [designer.design("passive"), designer.design("I")]
     passive, run = run_controllers(paper, controllers, Bump(height=height), sample_times(paper, 1.0, 1e-3))
-    assert any(row[-1] != "-" for row in signal_table(run, passive).rows) == shares
+    assert any(row[-1] != "-" for row in signal_table(run, passive.physics).rows) == shares
