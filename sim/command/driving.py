@@ -19,7 +19,7 @@ from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.drive_options import end_lines, gaps, starts_later
+from sim.command.road_options import end_lines, gaps, starts_later
 from sim.response.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
 from sim.runs.result import Run

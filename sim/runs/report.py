@@ -38,6 +38,7 @@ from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import Run
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
+from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController, Controller, has_anti_windup
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
@@ -98,10 +99,7 @@ def run_object(run: Run) -> dict[str, Any]:
                 "unit": run.vehicle.kind.signal(name).unit,
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {
-                    "sampled": finite(signal.sampled),
-                    "continuous": finite(signal.continuous),
-                },
+                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
             }
             for name, signal in agreement.signals.items()
         },
@@ -111,7 +109,8 @@ def run_object(run: Run) -> dict[str, Any]:
         "steps": _check_object(agreement.steps, "error", "allowed", "since", "until"),
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
-        **_parts_object(run),
+        **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
+        **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **code_object(run.prediction.code_effect),
         **({"margins": law_margins(run.vehicle, run.controller).record} if isinstance(run.controller, Controller) else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
@@ -124,18 +123,11 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
     return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
 
 
-def _parts_object(run: Run) -> dict[str, Any]:
-    """Returns the results of bump stops and semi-active dampers, each under its own key; empty without such parts."""
-    parts = {}
-    if run.vehicle.limits.stopped:
-        from sim.runs.stops import stops_object
+def _dampers_object(run: Run) -> dict[str, Any]:
+    """Returns the force that semi-active dampers did not give as a JSON object."""
+    from sim.runs.dampers import shortfalls
 
-        parts["stops"] = stops_object(run)
-    if run.vehicle.dampers:
-        from sim.runs.dampers import dampers_object
-
-        parts["dampers"] = dampers_object(run.vehicle, run.physics)
-    return parts
+    return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
@@ -237,8 +229,6 @@ def _when(run: Run) -> str:
         return "throughout"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
-        from sim.runs.stops import stop_names
-
         ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
@@ -287,17 +277,11 @@ def reasons(run: Run) -> tuple[Statement, ...]:
     Those of a run that passes, and stays in its range, are details.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
-    stops, said = "", [*notes(*_events(run))]
-    if run.vehicle.limits.stopped:
-        from sim.runs.stops import stop_note
-
-        stops = stop_note(run)
-    if run.vehicle.dampers:
-        said += _damper_notes(run)
+    said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
     if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
-    return (*notes(*filter(None, [stops])), *(replace(one, detail=detail) for one in said))
+    return (*notes(*filter(None, [stop_note(run)])), *(replace(one, detail=detail) for one in said))
 
 
 def _events(run: Run) -> Iterator[str]:
@@ -325,8 +309,6 @@ def _events(run: Run) -> Iterator[str]:
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
-        from sim.runs.stops import stop_names
-
         said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
     yield from (line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
