@@ -34,8 +34,7 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from sim.recording.run_records import run_log
     from sim.response.response import Response
     from sim.runs.by_name import run
-    from sim.runs.result import Run
-    from sim.runs.run import sample_times
+    from sim.runs.run import Run, sample_times
     from sim.studies.frequency.identification import identify
     from sim.studies.ride.run_metrics import RunMetrics, measure_run
     from sim.studies.stability.margin_search import find_margins

@@ -18,12 +18,10 @@ from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import simulate
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.report import FEW, describe_run, shared
-from sim.runs.result import Run
-from sim.runs.run import run_controllers
+from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
 from synth.controller.open_loop import LoopModel
@@ -169,11 +167,10 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
         return []
-    from sim.recording.files import opening_lines
-
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
-    return [*(["", LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
+    files = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}"), Whole(f"  {pasted_path(paths[0]['mcap'])}")]
+    return [*(["", LOGS] if len(runs) <= FEW else []), *files]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -224,12 +221,6 @@ def run_named(
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     warn(vehicle, controllers)
     return run_controllers(vehicle, controllers, road, time)
-
-
-def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
-    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
-    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
-    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
 
 
 def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:

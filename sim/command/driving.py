@@ -23,8 +23,7 @@ from sim.command import comparison
 from sim.command.road_options import end_lines, gaps, starts_later
 from sim.response.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
-from sim.runs.result import Run
-from sim.runs.run import run_controllers, sample_times
+from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
 from synth.vehicle.designer import Designer
 
@@ -218,7 +217,7 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
         if own is not vehicle and some:
             runs += run_controllers(own, [drivers[name] for name in some], road, time)
             parts += [part] * len(some)
-    return Driven(vehicle, title, names, runs, parts, comparison.passive_beside(runs[: parts.count("")], design))
+    return Driven(vehicle, title, names, runs, parts, passive_beside(runs[: parts.count("")], design))
 
 
 def _result(options: Namespace, each: Driven, measured: tuple[float, float | None]) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from sim.response.regime import (
 from sim.response.response import Response
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
-from sim.runs.result import Run
+from sim.runs.result import RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController, Controller, has_anti_windup
@@ -72,7 +72,7 @@ OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SOURCES = {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}
-SIZES: tuple[Field[tuple[Run, str]], ...] = tuple(  # of a signal of a run
+SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), ".5g")
     for what in ("peak", "rms")
     for name, source in SOURCES.items()
@@ -88,7 +88,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
-def run_object(run: Run) -> dict[str, Any]:
+def run_object(run: RunResult) -> dict[str, Any]:
     """Returns a run as a JSON object: SI units, None for infinite or missing values."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
     agreement = run.agreement
@@ -123,14 +123,14 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
     return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
 
 
-def _dampers_object(run: Run) -> dict[str, Any]:
+def _dampers_object(run: RunResult) -> dict[str, Any]:
     """Returns the force that semi-active dampers did not give as a JSON object."""
     from sim.runs.dampers import shortfalls
 
     return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
 
 
-def half_step_object(run: Run) -> dict[str, Any] | None:
+def half_step_object(run: RunResult) -> dict[str, Any] | None:
     """Returns the change by half the step after a lift-off as a JSON object, or None if it is unknown."""
     half_step = run.half_step
     return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
@@ -149,7 +149,7 @@ def controller_object(controller: AnyController) -> dict[str, Any]:
     }
 
 
-def energy_table(runs: Sequence[Run], where: str) -> Table:
+def energy_table(runs: Sequence[RunResult], where: str) -> Table:
     """Returns the table of every run's energy balance."""
     known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
@@ -189,7 +189,7 @@ def claims(controller: AnyController) -> str:
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
 
 
-def verdict(run: Run) -> Statement:
+def verdict(run: RunResult) -> Statement:
     """Returns the verdict on a run: its checks, the range of linear analysis, and its energy balance, in a few words."""
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
@@ -222,7 +222,7 @@ def verdict(run: Run) -> Statement:
     return Statement(f"{loop}{'; '.join(words)}", "fails" if not run.passed else "ends" if ends else "holds", "brief")
 
 
-def _when(run: Run) -> str:
+def _when(run: RunResult) -> str:
     """Returns the time until which linear analysis applies, and what ends it."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
@@ -234,7 +234,7 @@ def _when(run: Run) -> str:
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
 
-def verdicts(runs: Iterable[Run], where: str = "") -> tuple[Statement, ...]:
+def verdicts(runs: Iterable[RunResult], where: str = "") -> tuple[Statement, ...]:
     """Returns the verdicts on runs, after a text on where they were; runs with the same verdict share a statement."""
     return shared(((run.controller.name, verdict(run)) for run in runs), where)
 
@@ -271,7 +271,7 @@ def joined_names(names: Sequence[str]) -> str:
     return "; ".join(f"{f'{vehicle}: ' if vehicle else ''}{', '.join(some)}" for vehicle, some in by_vehicle.items())
 
 
-def reasons(run: Run) -> tuple[Statement, ...]:
+def reasons(run: RunResult) -> tuple[Statement, ...]:
     """Returns the events of a run, its checks, its distance from linear analysis, and its energy balance, a sentence each.
 
     Those of a run that passes, and stays in its range, are details.
@@ -284,7 +284,7 @@ def reasons(run: Run) -> tuple[Statement, ...]:
     return (*notes(*filter(None, [stop_note(run)])), *(replace(one, detail=detail) for one in said))
 
 
-def _events(run: Run) -> Iterator[str]:
+def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
@@ -329,7 +329,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest takes {longest}"
 
 
-def _checks(run: Run) -> Iterator[Statement]:
+def _checks(run: RunResult) -> Iterator[Statement]:
     """Yields a sentence on each of the two checks: steps against equations, and commands against the control law."""
     steps, commands, code = run.agreement.steps, run.agreement.commands, run.agreement.code_effect
     if steps is None:
@@ -356,7 +356,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     return Statement(text, "note" if one.agrees else "fails")
 
 
-def _distance(run: Run) -> Iterator[Statement]:
+def _distance(run: RunResult) -> Iterator[Statement]:
     """Yields sentences on the distance from linear analysis, and its cause."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
@@ -385,7 +385,7 @@ def _distance(run: Run) -> Iterator[Statement]:
         )
 
 
-def _balance(run: Run) -> Iterator[Statement]:
+def _balance(run: RunResult) -> Iterator[Statement]:
     """Yields a sentence on the energy balance of a run, if it is known."""
     energy = run.energy
     if energy is None:
@@ -407,7 +407,7 @@ def _balance(run: Run) -> Iterator[Statement]:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are "-"
-def describe_run(run: Run, passive: Response | None = None) -> Document:
+def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     """Returns a run as a document: its verdict, its controller's claims, its signals, and the reasons of the verdict.
 
     Args:
@@ -432,7 +432,7 @@ def describe_run(run: Run, passive: Response | None = None) -> Document:
     )
 
 
-def signal_table(run: Run, passive: Response | None = None) -> Table:
+def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
     rows, on = [], run.prediction.input
     still = not on.heights.any() and not on.held.any()  # all that moves on a flat road is rounding
@@ -452,7 +452,7 @@ def signal_table(run: Run, passive: Response | None = None) -> Table:
     return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, shown)
 
 
-def _damper_notes(run: Run) -> list[Statement]:
+def _damper_notes(run: RunResult) -> list[Statement]:
     """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
     from sim.runs.dampers import shortfalls
 
@@ -501,7 +501,7 @@ def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
     return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")
 
 
-def events(run: Run) -> tuple[tuple[float, str], ...]:
+def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, by time [s]."""
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]

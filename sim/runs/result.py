@@ -1,10 +1,9 @@
 """Results of runs: physics, its prediction, and their comparison."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from models.common.arrays import Array
-from models.common.printed import Shown, html_table
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
@@ -31,8 +30,8 @@ class HalfStep:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Shown):
-    """Run of physics with its prediction, and its view at a prompt and in a notebook.
+class RunResult:
+    """Run of physics with its prediction.
 
     Attributes:
         prediction: linear analysis of this vehicle, controller and road.
@@ -97,24 +96,3 @@ class Run(Shown):
     def passed(self) -> bool:
         """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
         return self.agrees and (self.energy is None or not self.energy.fails)
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns the verdict, and the vehicle, road and times as text."""
-        from sim.runs.report import verdict
-
-        return f"run of {self.controller.name}: {verdict(self).text}", {
-            "vehicle": self.vehicle.kind.name,
-            "road": self.road.words,
-            "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
-        }
-
-    def _repr_html_(self) -> str:
-        from models.document.figure import Style
-        from models.document.notebook import BLUE, notebook_figure
-        from sim.runs.report import signal_table
-        from sim.runs.time_histories import history_panels
-
-        table, look = signal_table(self), {self.controller.name: Style(BLUE, "solid", "o")}
-        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
-        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))

@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.printed import Shown, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
 from sim.physics.energy import energy
@@ -21,8 +23,9 @@ from sim.response.response import Response
 from sim.runs.agreement import SMALL, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
-from sim.runs.result import HalfStep, Run
-from synth.controller.controller import AnyController, code_of
+from sim.runs.report import signal_table, verdict
+from sim.runs.result import HalfStep, RunResult
+from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
     from sim.physics.driver import RunDriver
@@ -30,6 +33,29 @@ if TYPE_CHECKING:
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
 STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(RunResult, Shown):
+    """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns the verdict, and the vehicle, road and times as text."""
+        return f"run of {self.controller.name}: {verdict(self).text}", {
+            "vehicle": self.vehicle.kind.name,
+            "road": self.road.words,
+            "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
+        }
+
+    def _repr_html_(self) -> str:
+        from models.document.figure import Style
+        from models.document.notebook import BLUE, notebook_figure
+        from sim.runs.time_histories import history_panels
+
+        table, look = signal_table(self), {self.controller.name: Style(BLUE, "solid", "o")}
+        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
+        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -93,6 +119,12 @@ def run_controllers(
     predictions = [predicted(each, on, physics.requested_force[i]) for i, each in enumerate(controllers)]
     runs = compare_runs(predictions, physics)
     return with_energy_balance(runs, physics) if balanced else runs
+
+
+def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
+    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
+    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
+    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
 
 
 def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:

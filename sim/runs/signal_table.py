@@ -9,7 +9,7 @@ from pathlib import Path
 from models.common.arrays import Array
 from models.common.files import whole_file
 from sim.response.response import Response
-from sim.runs.result import Run
+from sim.runs.result import RunResult
 
 Column = tuple[str, Array]  # heading and values over time
 
@@ -27,7 +27,7 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
                 yield f"{signal.name} {name} {source} [{signal.unit}]", response[signal.name]
 
 
-def write_runs(path: Path, runs: Sequence[Run]) -> None:
+def write_runs(path: Path, runs: Sequence[RunResult]) -> None:
     """Writes MuJoCo's signals and those of the exact sampled response of runs over one road; errors as `write_columns`."""
     each = (run_columns(run.controller.name, {"mujoco": run.physics, "sampled": run.sampled}) for run in runs)
     write_columns(path, runs[0].prediction.time, list(itertools.chain(*each)))

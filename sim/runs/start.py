@@ -16,7 +16,7 @@ from models.roads.profile import Profile
 from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
-from sim.runs.result import Run
+from sim.runs.result import RunResult
 from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
@@ -40,7 +40,7 @@ class StartEffect:
     time: float
 
 
-def start_effect(runs: Sequence[Run]) -> StartEffect | None:
+def start_effect(runs: Sequence[RunResult]) -> StartEffect | None:
     """Returns the largest effect of the start on a peak of a weighted signal, if it exceeds 2 %; None otherwise."""
     felt, vehicle = runs[0].prediction.input.felt, runs[0].vehicle
     road = felt.road if isinstance(felt, Departure) else None
@@ -74,7 +74,7 @@ def start_effect(runs: Sequence[Run]) -> StartEffect | None:
     return worst if worst.share > SAID else None
 
 
-def start_lines(runs: Sequence[Run], later: bool) -> list[str]:
+def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
     """Returns a remark on the effect of the start on a peak, if it exceeds 2 %.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 from models.document.field import Field, json_object
 from models.suspension.bump_stops import SIDES
 from sim.response.regime import AT, BUMP_STOP
-from sim.runs.result import Run
+from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
 
 
@@ -38,7 +38,7 @@ FORCE = Field[Touch]("force", lambda one: one.force, _digits, key="force", unit=
 TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s")
 
 
-def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
+def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
@@ -55,7 +55,7 @@ def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
     return contacts
 
 
-def stops_object(run: Run) -> dict[str, dict[str, dict[str, Any] | None]]:
+def stops_object(run: RunResult) -> dict[str, dict[str, dict[str, Any] | None]]:
     """Returns the contacts as a JSON object: squeeze [m], force [N] and time [s] of every stop, or None if it is not reached."""
     fields = (SQUEEZE, FORCE, TIME)
     return {
@@ -64,7 +64,7 @@ def stops_object(run: Run) -> dict[str, dict[str, dict[str, Any] | None]]:
     }
 
 
-def stop_note(run: Run) -> str:
+def stop_note(run: RunResult) -> str:
     """Returns a sentence on the hardest contact of a run with the stops of each side; empty without a contact."""
     corners, reached, words = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}, touches(run), []
     for side in SIDES:
@@ -76,7 +76,7 @@ def stop_note(run: Run) -> str:
     return f"stops: {'; '.join(words)}" if words else ""
 
 
-def stop_names(run: Run, when: float) -> str:
+def stop_names(run: RunResult, when: float) -> str:
     """Returns the names of the stops at which suspensions are at a time [s]: bump stop, rebound stop, or both."""
     k = int(np.searchsorted(run.physics.time, when))
     at = [

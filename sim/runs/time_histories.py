@@ -11,7 +11,7 @@ from models.common.printed import as_name
 from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.response.response import Response
-from sim.runs.result import Run
+from sim.runs.result import RunResult
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
@@ -32,7 +32,7 @@ class _Trace:
         physics: MuJoCo's response until the run broke off.
     """
 
-    run: Run
+    run: RunResult
     name: str
     bounded: bool
     line: Response
@@ -101,7 +101,7 @@ def _marked(values: Array, every: int) -> Array:
 
 
 def history_panels(
-    runs: Sequence[Run],
+    runs: Sequence[RunResult],
     looks: Mapping[str, Style],
     during: tuple[float, float] | None = None,
 ) -> list[Panel]:
@@ -141,19 +141,19 @@ def history_panels(
     return panels
 
 
-def _end(runs: Sequence[Run]) -> float:
+def _end(runs: Sequence[RunResult]) -> float:
     """Returns the end of the last run [s], where all broke off, or of the road."""
     whole = float(runs[0].prediction.time[-1])
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
 
-def _weighed(runs: Sequence[Run]) -> dict[str, Signal]:
+def _weighed(runs: Sequence[RunResult]) -> dict[str, Signal]:
     """Returns the signals that a vehicle of the runs weighs, by name."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
 
 
-def _moves(run: Run, name: str) -> bool:
+def _moves(run: RunResult, name: str) -> bool:
     """Returns False if a vehicle lacks a signal, or if it is silent: no control force, or no roll on a symmetric road."""
     if not any(signal.name == name for signal in run.physics.signals):
         return False
@@ -161,7 +161,7 @@ def _moves(run: Run, name: str) -> bool:
     return peak != 0 and not peak < run.physics.scale(name)
 
 
-def _trace(run: Run, name: str, start: float, end: float) -> _Trace:
+def _trace(run: RunResult, name: str, start: float, end: float) -> _Trace:
     """Returns what is drawn of one signal of one run between two times [s]."""
     line = run.sampled if _bounded(run) else run.sampled.until(run.agreement.until)
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
@@ -179,7 +179,7 @@ def _swings(values: Array) -> int:
     return int(np.count_nonzero(np.diff(values > values.mean()))) if len(values) else 0
 
 
-def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
+def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
 
     The panels of a long run, with lines too dense to distinguish, have those of its hardest stretch next to them.
@@ -210,7 +210,7 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
 
 
-def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
+def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
     """Returns the stretch of time [s] around the largest peak of the first weighed signal, or None of a run that needs none.
 
     It has about `MOST_SWINGS` of the signal that swings most often.
@@ -229,12 +229,12 @@ def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
     return start, start + length
 
 
-def _bounded(run: Run) -> bool:
+def _bounded(run: RunResult) -> bool:
     """Returns True if a run has not broken off and its loop is not known to be unstable."""
     return run.broke_off is None and not run.prediction.radius >= 1  # NaN of a loop that is not linear
 
 
-def _least(runs: Sequence[Run]) -> str:
+def _least(runs: Sequence[RunResult]) -> str:
     """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
     whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
