@@ -102,7 +102,7 @@ def say_false_claims(controllers: Iterable[AnyController]) -> None:
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
-                f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
+                f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}): it is "
                 "used unchanged; see python -m synth"
             )
 
@@ -112,7 +112,7 @@ def _first(claims: Sequence[str]) -> str:
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
-LOGS = "logs, for Rerun, and for Foxglove and Lichtblick, with .layout.json beside it"
+LOGS = "logs for Rerun, and for Foxglove and Lichtblick (import the .layout.json there)"
 
 
 def recorded(

@@ -49,7 +49,7 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted."""
-    return [f"left out: {', '.join(names)}; to have one, name it with --controller, which may be {ALL}"] if names else []
+    return [f"left out: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
