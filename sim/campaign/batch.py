@@ -23,6 +23,7 @@ from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
 from sim.response.regime import DIVERGENCE, END_NAMES, LAW_OVERFLOW, RAN_AWAY
 from sim.response.response import SILENT
+from sim.runs.steps import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
@@ -216,11 +217,11 @@ def _end(watched: MonitoredBatch, i: int) -> dict[str, Any]:
     flat, diverged, overflow = float(watched.ends.flat[i]), float(watched.diverged[i]), bool(watched.ran_away[i])
     reason = None
     if flat < diverged:
-        reason = f"flat: a tyre is squeezed by more than {MOST_SQUEEZE:g} m at {flat:.4g} s"
+        reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(flat)}"
     elif overflow:
         reason = f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=diverged)}"
     elif math.isfinite(diverged):
-        reason = f"diverged: a signal is beyond {DIVERGED:g} at {diverged:.4g} s"
+        reason = f"diverged: a signal is beyond {DIVERGED:g} at {WHEN.text(diverged)}"
     broken = LAW_OVERFLOW if overflow else DIVERGENCE
     ended = float(watched.until[i])
     by = broken if diverged <= watched.ends.first[i] else END_NAMES[watched.ends.which[i]]

@@ -103,7 +103,7 @@ class Choice:
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = listing([request.metric, *request.limits])
-            return Statement(f"{self.vehicle}: None of {self.count} has {absent} of all runs, as some broke off.", "fails")
+            return Statement(f"{self.vehicle}: None of {self.count} has {absent} for all runs, because some broke off.", "fails")
         drawn = "".join(f", {key} {DRAWN.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
@@ -114,7 +114,7 @@ class Choice:
         for name, by in self.misses.items():
             share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
             missed.append(f"{name} by {MISS.digits(by)} {request.units[name]}".rstrip() + share)
-        text = f"{who} is nearest to {request.words}, and misses {' and '.join(missed)}. None of {self.count} is within."
+        text = f"{who} is nearest to {request.words}, and exceeds {' and '.join(missed)}. None of {self.count} is within."
         return Statement(text, "fails")
 
     @property

@@ -61,7 +61,7 @@ def open_viewer(recording: Path) -> None:
 def _reason(said: bytes) -> str:
     """Returns the last line of a program's output, without colours, as a reason."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
-    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
+    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
 
 def serve_viewer(recording: Path) -> None:

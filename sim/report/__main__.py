@@ -21,8 +21,15 @@ from models.common.command import Parser, chosen_of
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import PLUS, without_copies
-from sim.command.drive_options import add_road, requested_road, road_text
-from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
+from sim.command.road_options import (
+    add_exported,
+    add_loads,
+    add_road,
+    left_out_lines,
+    omitted_controllers,
+    requested_road,
+    road_text,
+)
 
 if TYPE_CHECKING:
     from models.document.page import Page

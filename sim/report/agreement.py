@@ -12,7 +12,7 @@ from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
 from models.document.text import names_text
-from sim.command.drive_options import end_lines
+from sim.command.road_options import end_lines
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams

@@ -12,7 +12,7 @@ from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import Vehicle
-from sim.command.comparison import passive_beside, standings_of
+from sim.command.comparison import standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, response_section
@@ -22,7 +22,7 @@ from sim.report.loads import loads_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import compared_on, first_screen, trust_section
-from sim.runs.run import Run, run_controllers, sample_times
+from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import ideal_measurements, identify

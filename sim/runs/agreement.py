@@ -110,9 +110,9 @@ class Agreement(Shown):
     @property
     def agrees(self) -> bool:
         """Returns True if every step and every command is right, as far as they are known, and nothing contradicts them."""
-        coded = self.code_effect is None or self.code_effect.holds
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
-        return checked and self.step_by_step and self.commanded and coded and self.follows_linear
+        checks = (self.steps, self.commands, self.code_effect)
+        return checked and self.follows_linear and all(one is None or one.agrees for one in checks)
 
     @property
     def follows_linear(self) -> bool:
@@ -123,16 +123,6 @@ class Agreement(Shown):
     def lost(self) -> bool:
         """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
         return self.steps is not None and self.steps.lost and self.steps.until == self.until
-
-    @property
-    def step_by_step(self) -> bool:
-        """Returns False if a step differs from the vehicle's exact equations, else True."""
-        return self.steps is None or self.steps.agrees
-
-    @property
-    def commanded(self) -> bool:
-        """Returns False if a command differs from the control law, else True."""
-        return self.commands is None or self.commands.agrees
 
 
 def compare(prediction: Prediction, physics: Response, commanded: Commanded | None = None) -> Agreement:

@@ -1,4 +1,4 @@
-"""Runs of some controllers of one vehicle over one road: physics, linear predictions, verdicts, and their view in a notebook."""
+"""Runs of some controllers of one vehicle over one road: physics, linear predictions and verdicts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,6 +13,7 @@ from models.common.printed import Shown, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
 from sim.physics.energy import energy
@@ -23,7 +24,7 @@ from sim.runs.agreement import SMALL, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
 from sim.runs.report import signal_table, verdict
-from sim.runs.result import HalfStep, Reference, RunResult
+from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Run(RunResult, Shown):
         from models.document.notebook import BLUE, notebook_figure
         from sim.runs.time_histories import history_panels
 
-        table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
+        table, look = signal_table(self), {self.controller.name: Style(BLUE, "solid", "o")}
         drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
         return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
 
@@ -120,10 +121,10 @@ def run_controllers(
     return with_energy_balance(runs, physics) if balanced else runs
 
 
-def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
-    """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
-    on = RoadInput(vehicle, road, time)
-    return Reference(simulate([controller], [on]).run(0), controller, on)
+def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
+    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
+    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
+    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
 
 
 def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:

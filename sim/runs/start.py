@@ -17,6 +17,7 @@ from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
 from sim.runs.result import RunResult
+from sim.runs.steps import WHEN
 from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
@@ -83,7 +84,7 @@ def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
     effect = start_effect(runs)
     if effect is None:
         return []
-    peak = f"the peak of {effect.controller}'s {effect.signal} at {effect.time:.3g} s"
+    peak = f"the peak of {effect.controller}'s {effect.signal} at {WHEN.text(effect.time)}"
     return wrapped(
         f"remark: the road before the start is unknown, and may have changed {peak} by {percent(effect.share)}; "
         f"start {'earlier or ' if later else ''}elsewhere with --from"

@@ -180,14 +180,6 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     assert abs(tyre["mujoco"] - tyre["sampled"]) > 0.1 * tyre["sampled"]
 
 
-def test_a_tyre_squeezed_flat_is_reported(capsys):
-    """A ten-metre bump at 12.5 m/s puts the hub into the road: the run says so, and compares no further."""
-    assert main(["--controller", "passive", "--no-logs", "--height", "10", "-v"]) == 0
-    out = capsys.readouterr().out
-    assert "flat: a tyre is compressed by more than 0.25 m at 0.022 s" in out
-    assert "linear analysis applies until 0.022 s (flat tyre)" in out
-
-
 def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     """Positive feedback of the body's velocity that just outweighs the damper: no norm, called unstable, and run."""
     vehicle = vehicle_with(tmp_path, 450.0)
@@ -296,7 +288,7 @@ def test_a_picture_is_of_the_signals():
     assert figure is not None
     assert figure.finding.startswith("`I_printed` has the lowest peak of sprung acceleration, ")
     assert runs[2].broke_off is not None
-    assert figure.title.endswith(f". `wild` broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
+    assert figure.title.endswith(f". `wild` broke off at {runs[2].broke_off[1]:.4g} s (flat tyre)")
     assert "leaves the axis: `wild` at " in figure.panels[0].title
     weighed = [name for name, weight in wild.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]

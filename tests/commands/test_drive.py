@@ -137,9 +137,10 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
     assert code == 0  # until then physics is what the analysis says
     assert run["broke_off"]["by"] == "flat tyre"
     assert all(metric["mujoco"] is None and metric["linear"] is None for metric in run["metrics"].values())
-    assert main(arguments) == 0
-    out = capsys.readouterr().out
-    assert f"This run has no metrics: flat tyre at {run['broke_off']['at']:.4g} s." in out
+    assert main([*arguments, "-v"]) == 0
+    out, when = capsys.readouterr().out, f"{run['broke_off']['at']:.4g} s"
+    assert f"This run has no metrics: flat tyre at {when}." in out
+    assert f"flat: a tyre is compressed by more than 0.25 m at {when}; no later step is compared" in prose(out)
     assert not any(line.split()[:1] == ["dynamic_load"] for line in out.splitlines())
 
 
@@ -181,4 +182,4 @@ def test_a_flat_road_changes_nothing(paper, designer, height, shares):
     """Over a flat road nothing moves, and there is no share of what rounding leaves."""
     controllers = [designer.design("passive"), designer.design("I")]
     passive, run = run_controllers(paper, controllers, Bump(height=height), sample_times(paper, 1.0, 1e-3))
-    assert any(row[-1] != "-" for row in signal_table(run, passive).rows) == shares
+    assert any(row[-1] != "-" for row in signal_table(run, passive.physics).rows) == shares

@@ -255,7 +255,7 @@ def test_what_is_left_out_is_said(tmp_path, capsys):
         "utf-8"
     )
     said = prose(capsys.readouterr().out)
-    assert f"left out: {rest}; to have one, name it with --controller, which may be all" in said
+    assert f"left out: {rest}; add one with --controller NAME, or all with --controller all" in said
     assert main([*options, str(tmp_path / "other.toml"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["left_out"] == []

@@ -26,12 +26,11 @@ MOST = {  # formats in a folder: lower these, never raise them
     "synth/vehicle": 3,
     "sim/campaign": 4,
     "sim/command": 3,
-    "sim/inspect": 2,
     "sim/physics": 3,
-    "sim/recording": 5,
+    "sim/recording": 1,
     "sim/report": 9,
     "sim/response": 7,
-    "sim/runs": 13,
+    "sim/runs": 6,
     "sim/studies": 16,
 }
 

@@ -102,6 +102,9 @@ def test_every_combination_is_a_row(small):
     masses = {row["parameter_sprung_mass"] for row in rows if row["vehicle"] == "quarter_car"}
     assert len(masses) == 2
     assert all(0.8 * 504.5 <= mass <= 1.2 * 504.5 for mass in masses)
+    # Vehicles, controllers and samples share the IRI of a road; every class and seed has its own.
+    rough = {(row["road"], row["seed"], row["iri"]) for row in rows if row["speed"] == 25.0 and row["seed"] is not None}
+    assert len(rough) == len({iri for *_, iri in rough} - {None}) == 2 * 3
 
 
 def test_the_file_says_what_it_is(small):
@@ -277,17 +280,6 @@ def test_a_short_road_has_no_iri(tmp_path):
     assert [rows[2]["iri"], rows[3]["iri"]] == [None, long["iri_left"]]
 
 
-def test_an_iri_is_of_its_road(small):
-    """Vehicles, controllers and samples share the IRI of a road; every class and seed has its own."""
-    found = {}
-    for row in small[0]:
-        if row["speed"] == 25.0 and row["seed"] is not None:
-            found.setdefault((row["road"], row["seed"]), set()).add(row["iri"])
-    assert len(found) == 2 * 3
-    assert all(len(one) == 1 for one in found.values())
-    assert len(set.union(*found.values()) - {None}) == len(found)
-
-
 def test_where_it_is_linear_it_agrees(small):
     """Runs that stay linear are their linear twins to RK4's error and geometry's; of others, wheels lift, and it says when."""
     rows, _ = small
@@ -375,7 +367,7 @@ def test_a_flat_tyre_is_a_row(tmp_path, capsys):
     (through_hub, flat, through), _ = run(tmp_path, text + "speeds = [20.0]\nduration = 0.6\n", "--json")
     assert through["reason"] is None
     for row in (through_hub, flat):
-        assert row["reason"] == f"flat: a tyre is squeezed by more than 0.25 m at {row['ended_at']:.4g} s"
+        assert row["reason"] == f"flat: a tyre is compressed by more than 0.25 m at {row['ended_at']:.4g} s"
         assert (row["ended_by"], row["diverged_at"]) == ("flat tyre", None)
     for name in (metric.name for metric in metrics_of(read_vehicle("quarter_car"))):
         assert flat[name] is None
@@ -391,10 +383,8 @@ def test_a_diverging_run_is_a_row(tmp_path):
     unstable = read_vehicle("quarter_car").text + '\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[1e6]]\n'
     (tmp_path / "wild.toml").write_text(unstable)
     text = 'vehicles = ["wild.toml"]\ncontrollers = ["wild", "passive"]\nroads = ["bump"]\nspeeds = [20.0]\nduration = 0.4\n'
-    text += "settle = 0.1\n"
     (wild, passive), _ = run(tmp_path, text)
-    assert wild["reason"].startswith("diverged: a signal is beyond 1e+08 at 0.")
-    assert 0 < wild["diverged_at"] < 0.4
+    assert wild["reason"] == f"diverged: a signal is beyond 1e+08 at {wild['diverged_at']:.4g} s"
     assert wild["sprung_acceleration_rms"] is None
     (alone,), _ = run(tmp_path, text.replace('"wild", ', ""), results="alone")
     assert {**alone, "run": 1} == passive
@@ -480,21 +470,21 @@ def test_another_campaign_is_left_alone(tmp_path):
     """A results folder that holds another campaign, other versions, other files or a running one is refused and not touched."""
     text = QUICK.replace("seeds = 60", "seeds = 1")
     rows, _ = run(tmp_path, text)
-    with pytest.raises(InputError, match="holds another campaign"):
+    with pytest.raises(InputError, match="contains another campaign"):
         run(tmp_path, text.replace("10.0", "11.0"))
     manifest = read_manifest(tmp_path / "results")
     assert manifest is not None
     dataclasses.replace(manifest, versions={**manifest.versions, "mujoco": "1.0"}).write(tmp_path / "results")
-    with pytest.raises(InputError, match=r"begun with mujoco 1\.0"):
+    with pytest.raises(InputError, match=r"started with mujoco 1\.0"):
         run(tmp_path, text)
     manifest.write(tmp_path / "results")
     with locked(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
         run(tmp_path, text)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").touch()
-    with pytest.raises(InputError, match=r"holds no campaign, but cat\.png"):
+    with pytest.raises(InputError, match=r"contains no campaign, but cat\.png"):
         run(tmp_path, text, results="photos")
-    with pytest.raises(InputError, match=r"holds no campaign, but cat\.png; give a folder of a finished campaign's results$"):
+    with pytest.raises(InputError, match=r"contains no campaign, but cat\.png; give a folder of a finished campaign's results$"):
         main(["--verify", str(tmp_path / "photos")])
     assert run(tmp_path, text)[0] == rows
 

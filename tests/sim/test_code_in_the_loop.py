@@ -168,7 +168,7 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert ("the cause is rounding to float" in said) == (numbers == "float")
-    assert "come out as they were logged, bit for bit" in said
+    assert "equal the logged ones bit for bit" in said
 
 
 CAMPAIGN = """vehicles = ["car.toml"]

@@ -156,7 +156,7 @@ def test_several_controllers_are_side_by_side(tmp_path: Path) -> None:
     ((table,),) = rows(tmp_path / "two.rrd", "/certificates", "TextDocument:text")
     assert "| I | 6.3 | - | - |\n" in table  # nothing wide: a view cuts a table, and breaks sentences
     assert "| II | 6.3 |" in table
-    assert table.endswith("\n- **I**, **II**: agrees until 0.1 s (lift-off); first: tyre leaves the road, 0.05 s")
+    assert table.endswith("\n`I`, `II`: agrees until 0.1 s (lift-off); first: tyre leaves the road, 0.05 s")
 
 
 @pytest.mark.parametrize("wheels", ["", "0123"])

@@ -264,8 +264,8 @@ def full_order_design(
         if trade:
             raise DesignError(
                 "no law was found that keeps all poles of its loop within fastest_pole = "
-                f"{rate_digits(fastest * search.fastest)} rad/s; the slowest loop has a pole of {rate_digits(trade[0].pole)} rad/s: "
-                "give at least that"
+                f"{rate_digits(fastest * search.fastest)} rad/s; the slowest loop has a pole of "
+                f"{rate_digits(trade[0].pole)} rad/s: give at least that"
             )
         raise DesignError(
             "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
