@@ -6,19 +6,29 @@ Figures are inline SVG, and there is no script. Jinja2 fills `page.html.jinja`.
 import base64
 import hashlib
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import whole_file
-from models.document.document import Block, Document, State, Statement, worst
+from models.document.document import Block, Document, State, Statement, Table, worst
 from models.document.figure import Bars, Figure, legend
 from models.document.picture import check_drawing, key_svg, panel_svg
 from models.document.reading import notation, page_text
 from models.document.sketch import Sketch, sketch_svg, symbol_html
 
+STYLE = """<style>
+.roadproof {max-width: 480px}
+.roadproof p {margin: 0}
+.roadproof .plot {font-size: 13px}
+.roadproof .plot text {fill: currentColor}
+.roadproof .legend {list-style: none; padding: 0}
+.roadproof .legend .plot {width: 34px; height: 14px; vertical-align: middle; margin-right: 6px}
+</style>"""
+IN_NOTEBOOK = "\1"  # in front of the identifiers of a fragment
 BRIEF = 2  # statements before the first figure or table that are shown; others that claim nothing are folded
 
 
@@ -82,34 +92,58 @@ def check_page() -> None:
 
 def render(page: Page) -> str:
     """Returns the page as one HTML document."""
+    names = [one.name for one in page.whole.figures]
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
+        raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")  # one would show the other's panels
+    counts = Counter[str]()
+
+    def number(kind: str) -> str:
+        counts[kind] += 1
+        return f"{kind} {counts[kind]}."
+
+    return (
+        _environment(number)
+        .get_template("page.html.jinja")
+        .render(
+            page=page,
+            verdict=page.verdict or VERDICTS[page.state],
+            mark=MARKS[page.state],
+            style=_resource("page.css"),
+            digest=_digest,
+            sketch_svg=sketch_svg,
+            symbol_html=symbol_html,
+        )
+    )
+
+
+def fragment(document: Document) -> str:
+    """Returns the blocks of a document as HTML for a notebook. Identifiers begin with a digest, as one notebook has many."""
+
+    def named(block: Block) -> Block:
+        if isinstance(block, Document):
+            return replace(block, blocks=tuple(map(named, block.blocks)))
+        return replace(block, name=f"{IN_NOTEBOOK}{block.name}") if isinstance(block, Table | Figure) else block
+
+    whole = Document("", (named(document),))
+    text = str(_environment(lambda kind: "").get_template("blocks.html.jinja").module.blocks(whole))  # pyright: ignore
+    text = text.replace(IN_NOTEBOOK, f"n{hashlib.sha256(text.encode()).hexdigest()[:12]}-")
+    return f'{STYLE}<div class="roadproof">{text}</div>'
+
+
+def _environment(number: Callable[[str], str]) -> Any:
+    """Returns the templates, with the functions that they call.
+
+    Args:
+        number: function that returns the label of the next "Table" or "Figure".
+    """
     import jinja2
 
-    figures = page.whole.figures
-    if repeated := [name for name, count in Counter(one.name for one in figures).items() if count > 1]:
-        raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")  # one would show the other's panels
-    panels = {one.name: [panel_svg(panel, f"{one.name}-{k}") for k, panel in enumerate(one.panels)] for one in figures}
-    entries = {
-        one.name: [(key_svg(entry, f"{one.name}-{k}"), entry.label) for k, entry in enumerate(legend(one))] for one in figures
-    }
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, finalize=_said
-    )
-    return environment.from_string(_resource("page.html.jinja")).render(
-        notation=notation,
-        page=page,
-        kind=_kind,
-        leading=_leading,
-        verdict=page.verdict or VERDICTS[page.state],
-        mark=MARKS[page.state],
-        style=_resource("page.css"),
-        digest=_digest,
-        numbers=_Numbers(),
-        panels=panels,
-        entries=entries,
-        sketch_svg=sketch_svg,
-        symbol_html=symbol_html,
-        layout=_layout,
-    )
+    loader = jinja2.FunctionLoader(_resource)
+    options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined, "finalize": _said}
+    environment = jinja2.Environment(autoescape=True, loader=loader, **options)
+    functions = {"kind": _kind, "leading": _leading, "layout": _layout, "notation": notation, "legend": legend}
+    environment.globals.update(functions, number=number, key_svg=key_svg, panel_svg=panel_svg)
+    return environment
 
 
 def _said(value: Any) -> Any:
@@ -127,7 +161,9 @@ def _kind(block: Block) -> str:
 def _leading(section: Document) -> tuple[list[Statement], list[Statement]]:
     """Returns the statements of a section that are shown, and those that are folded."""
     texts = [block for block in section.blocks if isinstance(block, Statement)]
-    shown = [one for i, one in enumerate(texts) if one.state != "note" or (i < BRIEF and one.detail != "full")]
+    shown = [
+        one for i, one in enumerate(texts) if one.state != "note" or one.detail == "brief" or (i < BRIEF and one.detail != "full")
+    ]
     return shown, [one for one in texts if one not in shown]
 
 
@@ -148,18 +184,6 @@ def _resource(name: str) -> str:
 def _digest(text: str) -> str:
     """Returns the hash of a style for a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
-
-
-class _Numbers:
-    """Counters of tables and figures, from 1."""
-
-    def __init__(self) -> None:
-        self._counts: Counter[str] = Counter()
-
-    def next(self, kind: str) -> int:
-        """Returns the next number of a kind."""
-        self._counts[kind] += 1
-        return self._counts[kind]
 
 
 def _layout(figure: Figure) -> str:

@@ -291,7 +291,9 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
             stack.enter_context(made_folder(figures, "figures"))
         stack.enter_context(together())
         write_page(page, out)
-        for one, names in _files(page) if figures is not None else ():
+        if figures is None:
+            return
+        for one, names in _files(page):
             if isinstance(one, Figure):
                 write_picture(one, *(figures / name for name in names))
             else:

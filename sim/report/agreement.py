@@ -93,12 +93,11 @@ def _peaks(scope: Scope, runs: Sequence[Run]) -> Table:
 def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
     """Returns the metrics of every run."""
     pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
-    unit, *metric = (field.of(lambda of: of[2]) for field in METRIC)
     columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
         Field("metric", lambda of: of[1].replace("_", " ")),
-        unit,
+        METRIC[0].of(lambda of: of[2]),
         NAME.of(lambda of: of[0]),
-        *metric,
+        *(column.of(lambda of: of[2]) for column in METRIC[1:]),
     )
     caption = "Metrics in MuJoCo. The full table adds the sampled response and the mean over all such roads."
     return Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))

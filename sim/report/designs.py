@@ -102,7 +102,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     if not controller.measured:
         return None
     kind, forces, law = vehicle.kind, vehicle.linear_model.inputs, controller.law
-    entries, headings = controller.gain if not law.states else np.empty(0), [force.replace("_", " ") for force in forces]
+    entries, headings = controller.law.D, [force.replace("_", " ") for force in forces]
     caption = f"Gain of {as_name(controller.name)}: force per unit of each measured signal."
     if law.states:
         at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]

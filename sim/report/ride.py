@@ -188,7 +188,9 @@ class OverRoads:
         metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
         metrics += [(f"{name}_rms", "m") for name in where.suspensions]
         metrics += [(dynamic_load(name), "-") for name in where.tyres]
-        metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if not linear or controller.law.acts]
+        metrics += [
+            (f"{name}_rms", "N") for name, *_ in where.actuators if not isinstance(controller, Controller) or controller.law.acts
+        ]
         for road_class in self.classes:
             runs = self._runs(road_class)
             through = np.isinf(self.ended[runs])

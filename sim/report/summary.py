@@ -105,13 +105,15 @@ def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wro
     label, unit = name.replace("_", " "), vehicle.kind.signal(name).unit.replace("s2", "s²")
 
     def linear(run: Run) -> float | None:
-        return None if scope.unstable(run.controller) or not isinstance(run.controller, Controller) else run.sampled.rms(name)
+        return (
+            None if scope.unstable(run.controller) or not isinstance(run.controller, Controller) else float(run.sampled.rms(name))
+        )
 
     columns: tuple[Field[Run], ...] = (
         NAME.of(lambda run: run.controller),
         NORM.of(lambda run: certificates.get(run.controller.name), "H-infinity norm"),
         Field(f"{label}, rms [{unit}], predicted", linear, ".3g"),
-        Field("in MuJoCo", lambda run: None if scope.unstable(run.controller) else run.physics.rms(name), ".3g"),
+        Field("in MuJoCo", lambda run: None if scope.unstable(run.controller) else float(run.physics.rms(name)), ".3g"),
         Field(f"analysis true up to{scope.noise_qualifier}", lambda run: heights.get(run.controller.name, "-")),
         Field(f"over {scope.where}", lambda run: verdict(run).text),
     )
