@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import roundings
@@ -101,11 +102,11 @@ class Agreement(Shown):
     coarse: bool = False
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
-        return f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals
+        return facts(f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 
     @property
     def agrees(self) -> bool:

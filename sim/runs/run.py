@@ -9,7 +9,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import Shown, html_table
+from models.document.document import Block, Document
+from models.document.figure import BLUE, Figure, Style
+from models.document.text import Shown, facts
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
@@ -40,22 +42,23 @@ class Run(RunResult, Shown):
     """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns the verdict, and the vehicle, road and times as text."""
-        return f"run of {self.controller.name}: {verdict(self).text}", {
+        rows = {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
             "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
         }
+        return facts(f"run of {self.controller.name}: {verdict(self).text}", rows)
 
-    def _repr_html_(self) -> str:
-        from models.document.figure import Style
-        from models.document.notebook import BLUE, notebook_figure
+    @property
+    def drawn(self) -> tuple[Block, ...]:
+        """The sizes of all signals, and the first weighted one over time."""
         from sim.runs.time_histories import history_panels
 
-        table, look = signal_table(self), {self.controller.name: Style(BLUE, "solid", "o")}
-        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
-        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
+        panels = history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
+        figure = Figure("run", "Line: sampled response. Markers: MuJoCo.", tuple(panels), columns=1)
+        return (signal_table(self), *([figure] if panels else []))
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:

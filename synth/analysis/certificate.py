@@ -34,7 +34,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
@@ -190,26 +192,25 @@ class Certificate(Shown):
     below: LowerBound | None = None
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Norm, bound and lower bound, and the claims that fail."""
-        known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
-        rows = {name: digits(value) for name, value in known.items() if value is not None}
-        return f"certificate: {'FAILS' if self.failures else 'holds'}", rows | (
-            {"failures": "; ".join(self.failures)} if self.failures else {}
-        )
-
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.figure
+        return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
-    def figure(self) -> str:
-        """The gain of the closed loop over frequency, with bound and lower bound, as HTML for a notebook."""
-        from models.document.notebook import gain_curve, gain_panel, notebook_figure
+    def claims(self) -> dict[str, str]:
+        """Norm, bound and lower bound, and the claims that fail, as text; empty if absent."""
+        known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
+        texts = {name: "" if value is None else digits(value) for name, value in known.items()}
+        return texts | {"failures": "; ".join(self.failures)}
 
-        loop, known = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
-        omega, gains = gain_curve(loop.A, loop.Bw, loop.C, loop.Dw, loop.dt)
-        levels = {name: value for name, value in known.items() if value is not None}
-        return notebook_figure(gain_panel("largest singular value of the closed loop, from w to z:", omega, gains, levels))
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop over frequency, with bound and lower bound."""
+        from models.document.notebook import gain_figure
+
+        loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
+        title = "Largest singular value of the closed loop, from w to z."
+        return (gain_figure(title, loop.A, loop.Bw, loop.C, loop.Dw, loop.dt, levels),)
 
     @property
     def bound(self) -> float | None:

@@ -8,7 +8,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Checked, at_the_door
 from models.common.errors import InputError, error_in, listing
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
 from models.laws.python_law import Programmed
@@ -81,19 +83,18 @@ class Controller(ControlLaw, Checked, Shown):
         return "a linear law"
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Measured signals, law and certificate."""
-        title, proved = self.certificate.shown
         states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
         law = states if self.law.states else self.text if self.measured else "no force"
-        return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
-            "measures": ", ".join(self.measured) or "nothing",
-            "law": law,
-            **proved,
-        }
+        made, certificate = "designed" if self.designed else "given", self.certificate
+        rows = {"measures": ", ".join(self.measured) or "nothing", "law": law, **certificate.claims}
+        return facts(f"controller {self.name}: {made}, {certificate.shown.title}", rows)
 
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.certificate.figure
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop."""
+        return self.certificate.drawn
 
     @property
     def states(self) -> int:

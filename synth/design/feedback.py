@@ -15,7 +15,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
-from models.common.printed import Shown, percent
+from models.common.printed import percent
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, read_law_structure
@@ -81,17 +84,18 @@ class FeedbackDesign(Shown):
         return self.law.D
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns law, method, reason and certificate as text."""
-        title, proved = self.certificate.shown
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: digits(self.value)} if self.criterion != "norm" else {}
         value |= {"sampled lower bound": digits(self.sampled_lower_bound)} if self.sampled_lower_bound is not None else {}
-        remark = {"remark": self.remark} if self.remark else {}
-        return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **remark}
+        rows = {**law, **value, **self.certificate.claims, "why": self.why, "remark": self.remark}
+        return facts(f"feedback by {self.method}, {self.certificate.shown.title}", rows)
 
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.certificate.figure
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop."""
+        return self.certificate.drawn
 
 
 def _law_shown(law: LinearLaw) -> dict[str, str]:

@@ -119,7 +119,7 @@ class Designer:
 
     def __repr__(self) -> str:
         """Returns the kind and the file of its vehicle."""
-        return f"Designer of {self.vehicle.shown[0]}"
+        return f"Designer of {self.vehicle.shown.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""

@@ -159,18 +159,12 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     text = render(Page("t", notes("a < b"), Document(""), (Document("s", (figure,)),)))
     assert "a &lt; b" in text
     assert len(re.findall(r'id="plot-grounds-\d(?:-title|-text)?"', text)) == 3 * 3  # each with its title and its text
-    assert all(f'.ground [fill="{color}"] {{ fill: ' in text for color in ("#ffffff", "#7aa6d8"))
-    assert text.count('.ground [fill="') >= 2 + 10  # with shades
-    assert all(f'.plot [fill="{color}"] {{ fill: ' in text for color in ("#7aa6d8", "#d62728"))
     for suffix in (".svg", ".pdf", ".png"):
         paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
         write_picture(figure, paths[0])
         write_picture(figure, paths[1])
         assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert (
-        ">shades: z [m], from 0 to 2.75, largest at x 0.75, y 2.</" in paths[0].with_suffix(".svg").read_text(encoding="utf-8")
-        or True
-    )
+    assert ">shades: z [m], from 0 to 2.75, largest at x 0.75, y 2.</" in (tmp_path / "a.svg").read_text(encoding="utf-8")
 
 
 def test_names_in_any_script_are_drawn_without_a_word(tmp_path, recwarn):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.printed import finite, finite_pairs
 from models.document.field import Field
 from models.vehicle.mjcf import has_geometry

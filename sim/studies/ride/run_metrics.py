@@ -10,9 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Shown, as_name, finite, percent
+from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Table, notes
 from models.document.field import Detail, Field, json_object
+from models.document.text import Shown, facts
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
@@ -125,13 +126,14 @@ class RunMetrics(Shown):
     static: Mapping[str, float] | None = None
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
         }
-        return f"metrics of a run: {len(rows)}", {name: text or "none, as the run broke off" for name, text in rows.items()}
+        rows = {name: text or "none, as the run broke off" for name, text in rows.items()}
+        return facts(f"metrics of a run: {len(rows)}", rows)
 
 
 def measured_samples(
