@@ -139,14 +139,10 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:previous]]
     larger = replace(
         model,
-        A=np.block([[model.A, np.zeros((n, more))], [np.zeros((more, n + more))]]),
-        B=np.block([[model.B, np.zeros((n, more))], [np.zeros((more, m)), np.eye(more)]]),
-        Bw=np.vstack([model.Bw, np.zeros((more, model.Bw.shape[1]))]),
-        Br=np.vstack([model.Br, np.zeros((more, model.Br.shape[1]))]),
-        Bl=np.vstack([model.Bl, np.zeros((more, len(model.loads)))]),
-        Bt=np.vstack([model.Bt, np.zeros((more, model.Bt.shape[1]))]),
-        C=np.hstack([model.C, np.zeros((len(model.C), more))]),
-        D=np.hstack([model.D, np.zeros((len(model.D), more))]),
+        A=linalg.block_diag(model.A, np.zeros((more, more))),
+        B=linalg.block_diag(model.B, np.eye(more)),
+        **{name: np.pad(getattr(model, name), ((0, more), (0, 0))) for name in ("Bw", "Br", "Bl", "Bt")},
+        **{name: np.pad(getattr(model, name), ((0, 0), (0, more))) for name in ("C", "D")},
         states=(*model.states, *names),
         inputs=(*model.inputs, *(f"rate_of_{name}" for name in names)),
     )
