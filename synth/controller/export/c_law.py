@@ -105,6 +105,11 @@ class ExportedLaw:
         return {"A": of.rows[m:, q:after], "B": of.rows[m:, :q], "C": of.rows[:m, q:after], "D": of.rows[:m, :q], "L": L}
 
     @property
+    def largest(self) -> dict[str, float] | None:
+        """Largest magnitude of each reading by name, in fixed point; else None."""
+        return None if self.ranges is None else dict(zip(self.inputs, self.ranges.tolist(), strict=True))
+
+    @property
     def states(self) -> int:
         """Number k of states of the law."""
         return len(self.A)

@@ -63,10 +63,8 @@ class ExportedCode:
     @property
     def record(self) -> dict[str, Any]:
         """Numbers, prefix and ranges, by which the code is made again, and the checksum, for JSON."""
-        law, ranges = self.law, None
-        if law.ranges is not None:
-            ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
-        return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
+        law = self.law
+        return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
     def start(self) -> "CompiledStep":
         """Returns the code at its start, built when it is first used.

@@ -40,7 +40,7 @@ def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> di
         "claims": None if claims is None else dict(claims),
     }
     if law.ranges is not None:
-        found["ranges"] = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        found["ranges"] = law.largest
         found["range_sources"] = dict(zip(law.inputs, law.range_sources, strict=True))
     return found
 
@@ -252,9 +252,8 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool:
     """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
-    ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
     try:
-        other = exported_law(vehicle, driver, law.numbers, law.name, ranges)
+        other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
     except InputError:  # it cannot be exported so
         return False
     same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
