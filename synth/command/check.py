@@ -27,7 +27,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
         raise InputError(f"{vehicle.source} holds no controller with a gain or law to check; write one with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
-            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; with one there are {listing(gains)}")
+            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {listing(gains)}")
     return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
 
 

@@ -54,10 +54,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
         *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
         *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
     ]
-    text = (
-        "Errors that each measurement and force may have: up to the first number they are proved harmless, at the second they "
-        "are found to be harmful. int16 and float16: the norm with the law's numbers in that format."
-    )
+    text = "Errors of all measurements and forces: largest proved harmless, smallest found harmful. int16, float16: rounded norm."
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 

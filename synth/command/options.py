@@ -54,22 +54,22 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs again, and {why}; omit one of them")
+    given = options.given | ({"range"} if options.ranges else set())
     for name, (does, others) in ALONE.items():
-        allowed = {name, "json", "verbose", *("ranges" if other == "range" else other for other in others)}
-        if options.given - allowed and name in options.given:
+        if name in given and given - {name, "json", "verbose", *others}:
             listed = ", ".join(f"--{other}" for other in others)
             raise InputError(f"--{name} {does}; it can be combined with {listed} and --json only")
     export, front = options.export is not None, options.front is not None
     fmu = export and options.export.suffix.lower() == ".fmu"
     for name, possible, why in (
-        ("ranges", options.numbers in ("int32", "int16"), "--range is for integers; give --export with --numbers int32 or int16"),
+        ("range", options.numbers in ("int32", "int16"), "--range is for integers; give --export with --numbers int32 or int16"),
         ("numbers", export, "--numbers is for the code of --export; name its folder with --export"),
         ("part", fmu, "--part is for an FMU; name its file with --export FILE.fmu"),
         ("fmi", fmu, "--fmi is for an FMU; name its file with --export FILE.fmu"),
         ("csv", front, "--csv is for the designs of --front; give its axes with --front"),
         ("point", front, "--point is for the designs of --front; give its axes with --front"),
     ):
-        if name in options.given and not possible:
+        if name in given and not possible:
             raise InputError(f"{why}, or omit it")
     return options
 

@@ -245,7 +245,7 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
     elif controller.specifications:
         first, *others = controller.specifications
         kept = sum(one.holds for one in others)
-        rest = f"; {kept} of {len(others)} other specifications hold" if others else ""
+        rest = f"; {kept} of {len(others)} others hold" if others else ""
         yield f"{replace(first, where='').text}{rest}"
     elif (gains or row.refined) and controller.designed:
         text = pid_line(controller) if controller.law.states else f"gain {gain_text(controller.law.D)}"

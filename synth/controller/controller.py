@@ -187,7 +187,7 @@ class Controller(ControlLaw, Checked, Shown):
             ValueError: the law has states; `loop` accepts any law.
         """
         if self.law.states:
-            raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
+            raise ValueError(f"controller {self.name!r} has states and therefore no state gain; use loop(vehicle)")
         C, through = vehicle.linear_model.rows(self.measured)
         return self.law.continuous().fed_back(through).D @ C
 
@@ -219,8 +219,8 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
             wrong = wrong or f"has a law of shape {one.law.D.shape}"
         if wrong:
             raise InputError(
-                f"controller {one.name!r} {wrong}, and is another vehicle's; this {vehicle.kind.name} has {forces} force(s) and "
-                f"the signals {listing(outputs)}"
+                f"controller {one.name!r} {wrong} and belongs to another vehicle; this {vehicle.kind.name} has {forces} force(s) "
+                f"and the signals {listing(outputs)}"
             )
 
 
@@ -235,8 +235,8 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} answers the road ahead, and {what} has its feedback of measured signals alone; "
-            "name a controller without preview"
+            f"controller {controller.name!r} has a preview of the road, and {what} contains only feedback of measured signals; "
+            "choose a controller without preview"
         )
 
 

@@ -103,13 +103,13 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
     how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
         raise InputError(
-            f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
-            "period; give it, as in sample_period = 0.01, seconds"
+            f"controller {entry.name!r} is designed for the sampled-data loop, and [implementation] has no sample period; give "
+            "one, such as sample_period = 0.01 (seconds)"
         )
     if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"controller {entry.name!r} is designed for the loop that a computer closes, and {pushed[0]!r} jumps with the road's "
-            "velocity, by the damping of the tyre, so that no energy bounds a sample; omit the signal, or tyre_damping"
+            f"controller {entry.name!r} is designed for the sampled-data loop, and {pushed[0]!r} contains the road's velocity "
+            "because of tyre_damping, so no energy bounds a sample; omit the signal or tyre_damping"
         )
     Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None

@@ -155,7 +155,7 @@ def problem(
         of_loads[:, : model.Dw.shape[1]] = model.Dw[rows]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
-                "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
+                "an unsprung_acceleration is measured, which contains the road's velocity because of tyre_damping, and that "
                 "velocity has a filter in [performance] road; omit one of the three"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
@@ -277,7 +277,7 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
     """Raises an InputError for a weighted height that no norm bounds, or that the warp of the road moves."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
-        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which feels the road's twist, has no norm; give 0")
+        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which responds to road warp, has no norm; give 0")
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
             f"[performance] {signal} is a height over the datum of a flat road, which a road of bounded velocity moves without "

@@ -40,7 +40,7 @@ def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
 
-NOT_REFINED = "and what is refined is a static gain, which has none; omit --refine"
+NOT_REFINED = "and --refine changes static gains, which have no integral; omit --refine"
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
@@ -331,10 +331,10 @@ class Designer:
         entry = self._entry(name)
         measured = entry.measured
         if not measured:
-            raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+            raise InputError(f"controller {name!r} measures nothing, so it has no gain to refine; give another controller")
         check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
         if self.vehicle.integrals:
-            raise DesignError(f"controller {entry.name!r}: [performance] weighs an integral, {NOT_REFINED}")
+            raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")
         try:
             start = self.design(name, zero_l)
         except DesignError:

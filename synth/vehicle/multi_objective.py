@@ -124,8 +124,8 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"{where}: {pushed[0]!r} has the road's velocity in it, by the damping of the tyre, and no peak or energy of it is "
-            "bounded; omit it, or tyre_damping"
+            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so it has no bounded peak or energy; "
+            "omit the signal or tyre_damping"
         )
 
 
@@ -134,13 +134,13 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.signal)]):
         raise InputError(
-            f"{where}: {bound.signal!r} has the road's height in it, which no energy of its velocity bounds; give another "
-            "signal, or its peak over a road"
+            f"{where}: {bound.signal!r} contains the road's height, which the energy of its velocity does not bound; give "
+            "another signal, or its peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
-            f"{where} is an energy_peak, which is of the road alone, and [controllers.{entry.name}] has noise = true; leave "
-            "one out"
+            f"{where} is an energy_peak, for roads without noise, and [controllers.{entry.name}] has noise = true; omit one "
+            "of them"
         )
     _refuse_pushed(where, vehicle, (bound.signal, *entry.measured))
     c, g = measurements(vehicle, [bound.signal], bandwidth)
@@ -157,11 +157,11 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; omit them")
+        raise InputError(f"{where} has loads, and a bound on a peak is for the road alone; omit the loads")
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
-        raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
+        raise InputError(f"{where} has no end and therefore no largest value; give a bump, a step, a hump or a pothole")
     return road
 
 

@@ -25,7 +25,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     how = vehicle.implementation
     if entry.design == "lqg" and how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
         raise DesignError(
-            "LQG takes noise as white noise of rms times root of sample_period, and [implementation] gives noise without "
+            "LQG uses white noise of intensity rms times sqrt(sample_period), and [implementation] has noise without "
             "sample_period; give both, or neither"
         )
     rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
@@ -47,7 +47,7 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         state_rows(posed.plant, Cy)
     except DesignError:
         raise InputError(
-            f"controller {entry.name!r}: a preview is of the measured state, and no sensor reads the states of filters in "
+            f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of filters in "
             "[performance]; give constant weights, integrals of deflections, or another design"
         ) from None
     design = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)

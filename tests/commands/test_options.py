@@ -126,7 +126,7 @@ REFUSED = [
     ("synth --front ride:ride", "names ride twice"),
     ("synth --front ride:speed", "there is no axis 'speed'"),
     ("synth --front band=8-4:travel", "band=8-4: not a band"),
-    ("synth --front tolerance=200:travel", "tolerance=200: not a share"),
+    ("synth --front tolerance=200:travel", "tolerance=200: not an error"),
     ("synth --front ride:travel --controller passive", "it measures nothing"),
     ("synth --front ride:travel --controller I --controller II", "of one controller, and 2 are given"),
     ("synth --front ride:travel --refine", "--front designs a trade-off"),

@@ -241,7 +241,7 @@ def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
 
     compiled._library.cache_clear()
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
-    with pytest.raises(InputError, match="no C compiler is here; install cc, or"):
+    with pytest.raises(InputError, match="there is no C compiler; install cc, or"):
         bump([*options, "--as", str(folders / "double")])
 
 

@@ -331,7 +331,7 @@ def test_bad_sections(section, said):
 def test_a_filter_has_states_that_none_measures():
     """A filtered weight, or road, is refused in a line about previews."""
     text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
-    with refused("a preview is of the measured state", "give constant weights"):
+    with refused("a preview needs a measured state", "give constant weights"):
         Designer(parse_vehicle(text)).design("ahead")
 
 
@@ -343,14 +343,14 @@ def test_dampers_cannot_push():
 
 def test_what_holds_a_law_alone_refuses_it(tmp_path):
     """Saved sections, exports and state-space systems hold a law of what is measured, and say that a preview is none."""
-    vehicle, designed, said = car(), controller(), "controller 'ahead' answers the road ahead"
+    vehicle, designed, said = car(), controller(), "controller 'ahead' has a preview of the road"
     for holds in (
         lambda: saved_text(tmp_path / "saved.toml", vehicle, [designed]),
         lambda: law_system(vehicle, designed),
         lambda: closed_loop(vehicle, designed),
         lambda: mat_file(vehicle, [designed]),
     ):
-        with refused(said, "name a controller without preview"):
+        with refused(said, "choose a controller without preview"):
             holds()
 
 

@@ -230,7 +230,7 @@ def test_lqg_without_a_sample_period():
         f"{read_vehicle('quarter_car').text}\n[implementation]\nnoise = {{ sprung_velocity = 0.01 }}\n"
         '[controllers.q]\nmeasured = ["sprung_velocity"]\ndesign = "lqg"\n'
     )
-    with pytest.raises(DesignError, match=r"'q': LQG takes noise as .* gives noise without sample_period; give both, or neither"):
+    with pytest.raises(DesignError, match=r"'q': LQG uses white noise .* has noise without sample_period; give both, or neither"):
         Designer(car).design("q")
 
 

@@ -157,7 +157,7 @@ def test_refused_where_it_is_done(tmp_path, capsys):
     with pytest.raises(InputError, match="sampled = true with --zero-l: only the two steps have an L"):
         designer.design("I", zero_l=True)
     lost = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None))
-    with pytest.raises(InputError, match=r"\[implementation\] gives no sample period"):
+    with pytest.raises(InputError, match=r"\[implementation\] has no sample period"):
         Designer(lost).design("I")
 
 

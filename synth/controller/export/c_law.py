@@ -105,6 +105,11 @@ class ExportedLaw:
         return {"A": of.rows[m:, q:after], "B": of.rows[m:, :q], "C": of.rows[:m, q:after], "D": of.rows[:m, :q], "L": L}
 
     @property
+    def largest(self) -> dict[str, float] | None:
+        """Largest magnitude of each reading by name, in fixed point; else None."""
+        return None if self.ranges is None else dict(zip(self.inputs, self.ranges.tolist(), strict=True))
+
+    @property
     def states(self) -> int:
         """Number k of states of the law."""
         return len(self.A)
@@ -144,15 +149,19 @@ def exported_law(
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
-        raise InputError(f"controller {driver.name!r} is {driver.kind}, and its own code; export a linear or semi-active one")
+        raise InputError(
+            f"controller {driver.name!r} is {driver.kind}, which is code already; export a linear or semi-active one"
+        )
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
-        raise InputError("adjustable dampers with curves are not exported; give them c_min and c_max alone")
+        raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
-        raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
+        raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions the same")
     if how.delay != int(how.delay):
-        raise InputError(f"delay = {how.delay:g} samples is not an integer; code gives forces at samples: give {int(how.delay)}")
+        raise InputError(
+            f"delay = {how.delay:g} samples is not an integer, and code sets forces at samples; give {int(how.delay)}"
+        )
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
@@ -222,7 +231,7 @@ def _ranges(
         InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
     """
     if vehicle.dampers:
-        raise InputError("fixed point sets forces, and this vehicle has adjustable dampers; give double or float")
+        raise InputError("fixed point is for forces, and this vehicle has semi-active dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
         raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")

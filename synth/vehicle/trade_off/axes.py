@@ -76,7 +76,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
         if any(axis.name == name for axis in axes):
             raise InputError(f"--front names {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
-            raise InputError(f"--front {part}: {name} takes nothing behind it; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
+            raise InputError(f"--front {part}: {name} takes no value; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
         axes.append(_axis(vehicle, name, given if equals else None))
     return tuple(axes)
 
@@ -104,13 +104,11 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
             raise InputError(
-                f"--front tolerance={given}: not a share; give one above 0, up to 90, in per cent, e.g. tolerance=10"
+                f"--front tolerance={given}: not an error; give one above 0, up to 90, in percent, e.g. tolerance=10"
             )
         off = float(given) / 100
     if vehicle.filtered:
-        raise InputError(
-            "--front tolerance: weights of [performance] that are filters are not looked at with errors; omit tolerance"
-        )
+        raise InputError("--front tolerance: filters in [performance] cannot be combined with measurement errors; omit tolerance")
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
 
@@ -121,7 +119,7 @@ def _edges(given: str) -> tuple[float, float]:
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
         raise InputError(
-            f"--front band={given}: not a band; give where it begins and ends, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
+            f"--front band={given}: not a band; give its lower and upper end, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
         )
     return low, high
 
@@ -134,7 +132,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}")
+        raise InputError(f"--front {axis} needs accelerations, and [performance] weights none; weight one there, or omit {axis}")
     return weights
 
 
@@ -142,7 +140,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
-        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; omit {axis}")
+        raise InputError(f"--front {axis} needs signals called {stem}, and this vehicle has none; omit {axis}")
     return weights
 
 

@@ -156,12 +156,12 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     entry = vehicle.controllers.get(name)
     why = ""
     if entry is None:
-        why = "it measures nothing" if name == "passive" else "this vehicle has none of that name"
+        why = "it measures nothing" if name == "passive" else "this vehicle has no controller of that name"
     if why or entry is None:
-        raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
+        raise InputError(f"--front cannot design static gains like {name!r}: {why}; give another controller with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it")
+        raise InputError(f"controller {name!r}: --front designs static gains, which have no integral; omit that in [performance]")
     return entry
 
 
