@@ -70,7 +70,7 @@ CORNER: tuple[Field[ParameterVertex], ...] = (
 BOX: tuple[Field[StabilityMargins], ...] = (
     Field("controller", lambda of: of.controller.name),
     Field("norm", lambda of: of.controller.certificate.norm.value, NORM.form),
-    Field("worst norm", lambda of: of.box and of.box.norm, NORM.form),
+    Field("largest norm", lambda of: of.box and of.box.norm, NORM.form),
     Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
     Field("at", lambda of: of.box and _values(of.box.at)),
     Field("MuJoCo at the corners", lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE")),
@@ -154,7 +154,7 @@ def _errors_document(found: StabilityMargins) -> Document:
     """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
     controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
     stable = fragile.predicted.stable.proved_margin
-    first = f"with errors of up to {ERROR.text(stable)} of each signal is proved" if stable else "with errors is not proved"
+    first = f"is proved for errors of up to {ERROR.text(stable)} of each signal" if stable else "with errors is not proved"
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
     details = [f"the worst errors are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
@@ -308,10 +308,10 @@ def _box_document(found: StabilityMargins) -> Document:
     if (box := found.box) is None:
         return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
-    text = f"Other vehicles ({box.text}): the worst norm of {box.computed} is {worst}; nothing is proved between them."
+    text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. Nothing is proved between them."
     factors = [
         Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
         for i, one in enumerate(box.varied)
     ]
     corners = Table.of("corners", "", (*factors, *CORNER), box.corners, detail="full" if box.holds else "normal")
-    return Document("", (*notes(text), *notes(f"The worst norm is at {_values(box.at)}.", detail="full"), *apart(corners)))
+    return Document("", (*notes(text), *notes(f"The largest norm is at {_values(box.at)}.", detail="full"), *apart(corners)))

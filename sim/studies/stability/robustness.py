@@ -176,9 +176,7 @@ def robustness(
     return results
 
 
-def _worst(
-    norm: Callable[..., float], varied: Sequence[Variation]
-) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
+def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
     """Returns the factors of a grid over the box and the norms there, then the worst norm and its factors.
 
     Args:
