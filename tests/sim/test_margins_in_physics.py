@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -165,7 +167,9 @@ def test_infinite_margins_in_physics(paper):
 def search_that_found(amount: float) -> StabilityEdge:
     """A search that has ended there; nowhere if it is infinite."""
     ends = (1.0, math.inf) if math.isinf(amount) else (0.9995 * amount, 1.0005 * amount)
-    return StabilityEdge(None, lambda amount: amount, amount, 32.0, 0.0, *ends, searched=True)  # type: ignore[arg-type]
+    step: Any = SimpleNamespace(timestep=1e-3)
+    trial: Any = float
+    return StabilityEdge(step, trial, amount, 32.0, 0.0, *ends, searched=True)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
     Field("to continuous", lambda one: one.error(one.continuous).max(), error_digits),
-    Field("order of the two", lambda one: one.order, ".2f"),
+    Field("order of convergence", lambda one: one.order, ".2f"),
 )
 SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
@@ -62,7 +62,7 @@ NORMS: tuple[Field[Sweep], ...] = (
 INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("controller", lambda of: of[0]),
     Field("invariant", lambda of: f"|{of[1].name}|"),
-    Field("at", lambda of: of[1].omega, ".2f", unit="rad/s"),
+    Field("frequency", lambda of: of[1].omega, ".2f", unit="rad/s"),
     Field("for any suspension", lambda of: of[1].expected, ".6f"),
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
     Field("difference", lambda of: of[1].error, error_digits),
@@ -73,8 +73,8 @@ MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
     Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
     Field("fundamental", lambda of: np.nanmax(np.abs(of[0].measured[:, of[1]])), "{:.4g}".format),
     Field("at [Hz]", lambda of: of[0].omega[np.nanargmax(np.abs(of[0].measured[:, of[1]]))], "{:.3g}".format, HZ),
-    Field("energy at other frequencies", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
-    Field("most for a road of [Hz]", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
+    Field("energy elsewhere", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
+    Field("most at [Hz]", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
 )
 LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("controller", lambda of: of[0]),

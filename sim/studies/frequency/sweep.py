@@ -134,11 +134,12 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller one" if coarse and not rounds else ""
-        failed.append(f"a line of {signal} is {OFF.text(off)} off the sampled response; {OFF.text(allowed)} is allowed{why}")
+        why = f"{OFF.text(allowed)} is allowed{why}"
+        failed.append(f"the response of {signal} differs from the sampled one by {OFF.text(off)}; {why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             size, most = OFF.text(invariant.error), OFF.text(invariant.allowed)
-            failed.append(f"{invariant.name} is {size} off its invariant; {most} is allowed")
+            failed.append(f"|{invariant.name}| differs from its invariant value by {size}; {most} is allowed")
     failed += road_failures(one) + load_failures(one.loads)
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
     low, high, what = norm * (1 - REACHED) - own, norm * (1 + ABOVE) + own, "the held-road norm"

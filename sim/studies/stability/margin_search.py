@@ -48,6 +48,11 @@ class GainMargin:
     finer: StabilityEdge
 
     @property
+    def tried(self) -> list[tuple[float, StabilityEdge]]:
+        """Returns the searches that were run, each with the margin predicted for the sampled loop at its timestep."""
+        return [(at, one) for at, one in zip(self.sampled, (self.search, self.finer), strict=True) if one.searched]
+
+    @property
     def doubtful(self) -> bool:
         """Returns True if the margin found at the timestep is not the loop's own."""
         return not _close(self.own, self.search.found, AGREES * self.own)
@@ -73,11 +78,9 @@ class GainMargin:
 
         The extrapolation is off by a second power of the step: by less than half of the change by halving.
         """
-        tried = zip(self.sampled, (self.search, self.finer), strict=True)
-        here = all(_close(at, search.found, AGREES * at) for at, search in tried if search.searched)
+        here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         moved = abs(self.finer.found - self.search.found) if self.finer.searched else 0.0
-        confirmed = self.search.confirmed and self.finer.confirmed
-        return here and confirmed and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
+        return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
 
 
 @dataclass(frozen=True, eq=False)

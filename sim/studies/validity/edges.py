@@ -71,12 +71,13 @@ def edge_document(cells: Cells) -> Document:
     fields: list[Field[dict[str, Any]]] = [
         Field(other, lambda edge: edge.get(other), ".4g", unit=UNITS.get(other, "")),
         Field("first limit", limits),
-        Field("cell", lambda edge: next((part["from"] for part in ended(edge)), None), ".4g", unit=UNITS[along]),
+        Field("first cell", lambda edge: next((part["from"] for part in ended(edge)), None), ".4g", unit=UNITS[along]),
         Field("predicted", lambda edge: edge["predicted_from"], HEIGHT.form, unit="m"),
         Field("MuJoCo", lambda edge: _enclosed(found.get(edge.get(other))), unit="m"),
     ]
     fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
-    texts = [f"{len(every) - len(shown)} more are in --json."] if len(every) > len(shown) else []
+    left = len(every) - len(shown)
+    texts = [f"{left} more {'is' if left == 1 else 'are'} in --json."] if left else []
     table = Table.of("edges", "First limit along the map.", fields, shown)
     return Document(f"First limit along the {along}, with {cells.fixed_text}", (table, *notes(*texts, *travel_texts(cells))))
 

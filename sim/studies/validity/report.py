@@ -120,7 +120,7 @@ def describe(cells: Cells) -> Document:
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
         texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, and it requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map is of the analysis with the dampers.")
+        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map shows the analysis with the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
