@@ -23,7 +23,7 @@ from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
 from tests.support.analysed import predict, simulate
-from tests.support.commands import environment, prose
+from tests.support.commands import answer, environment, prose
 from tests.support.shared import printed, ran
 
 ROOT = Path(__file__).parents[2]
@@ -256,8 +256,7 @@ def test_negative_numbers_are_no_options(capsys):
 def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
     """The change at half the step is within a factor of three of what physics at an eighth of the step makes of it."""
     arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]
-    assert main([*arguments, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["runs"][0]["half_step"]
+    found = answer(capsys, main, *arguments)["runs"][0]["half_step"]
     vehicle = read_vehicle("quarter_car")
     held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=1e-3))
     designed, road = Designer(vehicle).design(controller), Bump(height=0.1, length=1.0)
