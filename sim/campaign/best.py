@@ -191,18 +191,17 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:
-        best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
+    if best is None:  # the nearest: by the largest share by which a limit is missed; of a limit of 0 by how much
+
+        def excess(one: Candidate) -> float:
+            return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())
+
+        best = min(numbers, key=excess, default=None)
     if best is None:
         return Choice(vehicle, request, None, {}, {}, 0, len(candidates))
     of_law = plan.campaign.variants[vehicle].get(best.controller, ())
     drawn = of_law[best.variant] if best.variant is not None else {}
     return Choice(vehicle, request, best, drawn, numbers[best], len(within), len(candidates))
-
-
-def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
-    """Returns by which share the limits are missed, the worst of them; of a limit of 0 by how much."""
-    return max(((numbers[name] - limit) / (abs(limit) or 1.0) for name, limit in limits.items()), default=0.0)
 
 
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:

@@ -109,7 +109,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     lines += ["", "results", Whole(f"  {store.results}")]
     if not options.brief:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
-        lines += [] if options.verbose else ["-v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
+        lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95 %, and prediction"]
     lines += written_lines(outputs)
     lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []

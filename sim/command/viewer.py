@@ -82,7 +82,7 @@ def serve_viewer(recording: Path) -> None:
     )
     try:
         _wait_until_up(process, f"http://{LOOPBACK}:{page}")
-        print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
+        print(f"serving http://{LOOPBACK}:{page}?url={source}   press Ctrl-C to stop", file=sys.stderr, flush=True)
         process.wait()
         raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
     except KeyboardInterrupt:

@@ -77,7 +77,7 @@ def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
     held = [one for one in findings if one.verdict == HOLDS]
     others = [one for one in findings if one.verdict != HOLDS]
     return (
-        *notes(*[f"holds: {', '.join(dict.fromkeys(one.part for one in held))}"] * bool(held)),
+        *notes(*[f"proved: {', '.join(dict.fromkeys(one.part for one in held))}"] * bool(held)),
         *notes(*(f"{one.part}: {one.text}" for one in held), detail="full"),
         *(Statement(f"{one.part} {one.verdict}: {one.text}", "note" if one.proved else "fails") for one in others),
     )

@@ -240,7 +240,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
         )
         recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
     for track in scene.tracks:
-        _log_track(recording, entity(run.name, "world", "profile", track.name), scene.time, track)
+        _log_track(recording, entity(run.name, "world", "profile", track.bodies[0]), scene.time, track)
     for tyre in scene.tyres:
         _log_tyre(recording, entity(run.name, "world", tyre.body, tyre.name), scene, tyre)
     for name, ends in scene.springs.items():

@@ -125,7 +125,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
         t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
         height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
         bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
-        tracks.append(Track(bodies[0], middle, start + road.speed * t, height, road.speed * time, bodies))
+        tracks.append(Track(middle, start + road.speed * t, height, road.speed * time, bodies))
     return tuple(tracks)
 
 

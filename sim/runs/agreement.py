@@ -136,7 +136,8 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
-    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), first_loose(road, physics), diverged)
+    loose = first_loose(road, physics)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     if prediction.is_linear:
         foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
@@ -147,7 +148,10 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     rounding, steps, commands = roundings(vehicle, controller), None, None
     if commanded is not None:
         if (motion := motion_of(vehicle)) is not None:
-            steps = compare_steps(motion, road, physics, commanded, steps_end(road, physics, ended), rounding)
+            end = min(ended[FLAT.name], diverged)
+            if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
+                end = min(end, ended[LIFT_OFF.name], loose)
+            steps = compare_steps(motion, road, physics, commanded, end, rounding)
             if steps.lost:
                 until = min(until, steps.until)
         if not prediction.replayed:
@@ -173,15 +177,6 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         code_effect=prediction.code_effect,
         coarse=coarse,
     )
-
-
-def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) -> float:
-    """Returns the time [s] before which single steps are compared: until a tyre is flat, or the run diverges.
-
-    A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
-    """
-    end = min(ended[FLAT.name], physics.diverged)
-    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], first_loose(road, physics))
 
 
 def to_first_order(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:

@@ -93,6 +93,11 @@ class Prediction:
         return bool({*how.noise, *how.quantisation} & {*self.controller.measured})
 
     @property
+    def varies(self) -> bool:
+        """Returns True if its controller answers differently at another step: by noise, quantisation or rounding."""
+        return self.is_blurred or bool(self.rounding_text)
+
+    @property
     def rounding_text(self) -> str:
         """Returns the numbers to which exported code rounds; empty without code, or in double."""
         code = code_of(self.controller)

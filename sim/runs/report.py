@@ -326,7 +326,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     """Returns how often tyres leave the ground, the first such interval, and the longest time."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
-    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest takes {longest}"
+    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:
@@ -460,11 +460,11 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:
-            texts.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
+            texts.append(f"{names[force]}: with its valve's lag, {percent(one.late)} (rms) of the requested force is missing")
         if one.time:
             texts.append(
-                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; it cannot give "
-                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
+                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; at "
+                f"{percent(one.time)} of the samples, force is missing, {percent(one.rms)} (rms) of the requested one"
             )
     if most > HALF and isinstance(run.controller, Controller):
         text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"

@@ -149,16 +149,16 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
     if unknown:
-        made = _simulated([runs[i].prediction for i in unknown], runs[0].prediction.time, _without_noise, SMALL)
+        made = _simulated(
+            [runs[i].prediction for i in unknown],
+            runs[0].prediction.time,
+            lambda one: replace(one, implementation=one.implementation.without_noise),
+            SMALL,
+        )
         for k, i in enumerate(unknown):
             agreement = to_first_order(runs[i].agreement, runs[i].prediction, made.run(k))
             runs[i] = replace(runs[i], agreement=agreement)
     return runs
-
-
-def _without_noise(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle without noise and quantisation, which have no height."""
-    return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
 
 def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) -> Sequence[Prediction]:
@@ -189,7 +189,7 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
         replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
-    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not _has_noise(run)]
+    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.prediction.varies]
     doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful]
     if halved := sorted({*lifted, *doubtful}):
         timestep = runs[0].prediction.timestep
@@ -204,11 +204,6 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
             half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
-
-
-def _has_noise(run: Run) -> bool:
-    """Returns True if its controller measures with noise or quantisation, or its code rounds, which differs at other steps."""
-    return run.prediction.is_blurred or bool(run.prediction.rounding_text)
 
 
 def _simulated(
@@ -232,8 +227,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: factor on the forces of a law in Python.
     """
-    noisy = prediction.is_blurred or bool(prediction.rounding_text)
-    if not isinstance(prediction.controller, Programmed) and (share != 1 or not noisy):
+    if not isinstance(prediction.controller, Programmed) and (share != 1 or not prediction.varies):
         return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
     from sim.physics.driver import RecordedForces

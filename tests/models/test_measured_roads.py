@@ -353,7 +353,7 @@ def test_the_start_is_remarked_where_it_counts():
         start_effect([driven(vehicle, Profile(x, z[:, None] * np.ones(2), V), time)]) for z, time in ((rough, 1), (late, 9.5))
     ]
     assert effects[0] is not None
-    assert effects[0].share > 0.02
+    assert effects[0][0] > 0.02
     assert effects[1] is None
 
 

@@ -302,7 +302,7 @@ def test_log_proves_without_running_the_law(tmp_path, monkeypatch, capsys, optio
     assert found["proves"]
     assert {"law": "mine.py:step", "norm": None, "bound": None, "stability": None}.items() <= mine["controller"].items()
     assert linear["controller"]["norm"] > 0
-    assert any(one["verdict"] == "note" and "was not run" in one["text"] for one in mine["findings"])
+    assert any(one["verdict"] == "note" and "was not executed" in one["text"] for one in mine["findings"])
     assert main_of("sim.inspect")([str(log), "-v"]) == 0
     assert "law in Python mine.py:step; SHA-256" in prose(capsys.readouterr().out)
 

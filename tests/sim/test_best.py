@@ -14,7 +14,7 @@ from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import trade_off
-from tests.support.commands import attacks, prose, refused
+from tests.support.commands import answer, attacks, prose, refused
 
 CAR = (
     read_vehicle("quarter_car_semi_active").text
@@ -325,9 +325,7 @@ def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):
 def test_every_variant_is_a_point(campaign, capsys):
     """For a drawn law `--json` has the root mean squares of each variant, road by road; the picture has them as points."""
     folder, rows = campaign
-    capsys.readouterr()
-    assert main([str(folder / "campaign.toml"), "--json"]) == 0
-    entries = json.loads(capsys.readouterr().out)["summary"]
+    entries = answer(capsys, main, str(folder / "campaign.toml"))["summary"]
     read = read_campaign(folder / "campaign.toml")
     figure = trade_off(Plan(read, {"car.toml": {}}), entries, {})
     assert figure is not None

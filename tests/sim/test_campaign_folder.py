@@ -15,7 +15,7 @@ from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.manifest import read_manifest
 from tests.sim import test_campaign
-from tests.support.commands import prose, refused
+from tests.support.commands import answer, prose, refused
 
 QUICK = test_campaign.QUICK.replace("seeds = 60", "seeds = 12")
 RUNS = 2 * 2 * (12 + 1)
@@ -96,8 +96,7 @@ def test_verify(whole, capsys):
     assert f"each of {RUNS} runs has one row" in out
     assert "3 runs, selected with seed 5" in out
     assert out.endswith("the results agree with the campaign")
-    assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answer(capsys, main, "--verify", str(whole[0]), "--runs", "3", "--seed", "5")
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
 
 
@@ -223,9 +222,7 @@ def test_folders_of_an_earlier_version(whole, begun, tmp_path, capsys):
         shutil.copytree(folder, tmp_path / name)
         earlier(tmp_path / name)
     (tmp_path / "campaign.toml").write_text(QUICK)
-    capsys.readouterr()
-    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "whole"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["new"] == 0
+    assert answer(capsys, main, str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "whole"))["new"] == 0
     assert main(["--verify", str(tmp_path / "whole"), "--runs", "1"]) == 0
     with refused(match="was started by Roadproof 0.1; finish it with that version"):
         main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "begun")])
