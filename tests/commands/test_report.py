@@ -122,7 +122,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
     bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([np.nan, 1.0]), ("none", "1"), ("#000000", "#d62728")))
     figure = Figure("grounds", "three", (cells, shades, bars))
-    text = render(Page("t", notes("a < b"), Document(""), (Document("s", (figure,)),)))
+    text = render(Page("t", Document("", notes("a < b")), (Document("s", (figure,)),)))
     assert "a &lt; b" in text
     assert len(re.findall(r'id="plot-grounds-\d(?:-title|-text)?"', text)) == 3 * 3  # each with its title and its text
     for suffix in (".svg", ".pdf", ".png"):

@@ -257,7 +257,10 @@ def test_the_section_of_a_report(folders):
     assert (EXPORTED, "") in pieces_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
-    assert facts["SHA-256 of its manifest, which every file matches"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert (
+        facts["SHA-256 of its manifest, which every file matches"]
+        == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    )
     assert facts["format"] == "C99 in float, law_step every 5 ms"
     assert changes["control force"] == "N"
     assert section.state == "holds"
