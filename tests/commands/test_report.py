@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.common.errors import InputError
 from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.report import ride as report_ride
@@ -131,6 +132,35 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
         write_picture(figure, paths[1])
         assert paths[0].read_bytes() == paths[1].read_bytes()
     assert "shades: z [m], from 0 to 2.75, largest at x 0.75, y 2.</" in (tmp_path / "a.svg").read_text(encoding="utf-8")
+
+
+BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:step"\n'
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep, 0\.002 s"),
+        ("--speed 9", "--speed is of a road, and none is given"),
+        ("--class B --road flat", "not both"),
+        ("--vehicle half_car --load corner:g=0.3", "rolls"),
+        ("--load push:g=1", "unknown load"),
+        ("--gallery --as ecu", "--as is of a vehicle file's report"),
+        (
+            "--vehicle car.toml --controller mine --timestep 0.005",
+            r"^controller 'mine', law mine.py:step: step fails \(ZeroDivision",
+        ),
+    ],
+)
+def test_a_report_that_cannot_be_is_refused(options, words, tmp_path, monkeypatch):
+    """Options that do not fit, and a law that fails, are one line, and leave no page behind."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("def step(sample, state):\n    return 1 / 0, state\n")
+    text = f"{read_vehicle('quarter_car').text}\n[implementation]\nsample_period = 0.005\n{BROKEN}"
+    (tmp_path / "car.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        main(["--out", "no.html", *options.split()])
+    assert not (tmp_path / "no.html").exists()
 
 
 def test_names_in_any_script_are_drawn_without_a_word(tmp_path, recwarn):

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from models.common.errors import InputError
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import read_vehicle
@@ -35,14 +34,6 @@ def test_loads_in_a_report_are_those_of_a_drive(tmp_path, capsys):
     assert "`passive`: agrees" in said
     for title in ("heave load", "pitch load", "pitch angle", "suspension deflection rear"):
         assert title in text
-
-
-def test_a_load_that_cannot_be_is_refused_before_the_work(tmp_path):
-    """What a vehicle has no way for, and what is no load, is one line, and no page."""
-    for load, words in (("corner:g=0.3", "rolls"), ("push:g=1", "unknown load")):
-        with pytest.raises(InputError, match=words):
-            main([*CAR, "--quick", "--out", str(tmp_path / "no.html"), "--load", load])
-    assert not list(tmp_path.iterdir())
 
 
 def test_roads_of_the_ride_say_how_rough_they_are():

@@ -18,7 +18,6 @@ from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import simulate
-from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Scope
@@ -264,12 +263,6 @@ def test_the_section_of_a_report(folders):
     assert facts["format"] == "C99 in float, law_step every 5 ms"
     assert changes["control force"] == "N"
     assert section.state == "holds"
-
-
-def test_no_folder_of_a_gallery(tmp_path):
-    """The page of the gallery is of no vehicle file, and so of no folder."""
-    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
-        report(["--gallery", "--as", str(tmp_path)])
 
 
 @needs_cc
