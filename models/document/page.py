@@ -6,8 +6,8 @@ Figures are inline SVG, and there is no script. Jinja2 fills `page.html.jinja`.
 import base64
 import hashlib
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -46,39 +46,44 @@ class Page:
 
     Attributes:
         title: title of the page.
-        answer: statements on what is claimed, and how it was checked; those that do not hold throughout are shown first.
         summary: the first part: figures and tables, without a title.
         sections: the others, in order.
         headline: the answer in a line.
-        lead: statements on the controllers that are best at something, with their cost.
-        verdict: the state in words; empty for those of a report on a vehicle file.
+        verdicts: the verdict by state, in words.
         sketch: sketch of the vehicle at the top, or None.
     """
 
     title: str
-    answer: tuple[Statement, ...]
     summary: Document
     sections: tuple[Document, ...]
     headline: str = ""
-    lead: tuple[Statement, ...] = ()
-    verdict: str = ""
+    verdicts: Mapping[State, str] = field(default_factory=lambda: VERDICTS)
     sketch: Sketch | None = None
-
-    @property
-    def state(self) -> State:
-        """Returns the verdict on physics against analysis: whether all holds, something ends early, or something fails."""
-        state = worst(self.answer)
-        return "holds" if state == "note" else state
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Returns the statements that do not hold throughout."""
-        return tuple(one.text for one in self.answer if one.state in ("ends", "fails"))
 
     @property
     def whole(self) -> Document:
         """Returns the summary and all sections as one document."""
         return Document(self.title, (self.summary, *self.sections))
+
+    @property
+    def answer(self) -> list[Statement]:
+        """Returns the statements that claim something about the result."""
+        return [one for one in self.whole.statements if one.state != "note"]
+
+    @property
+    def state(self) -> State:
+        """Returns the verdict on physics against analysis: whether all holds, something ends early, or something fails."""
+        return worst([*self.answer, Statement("", "holds")])
+
+    @property
+    def verdict(self) -> str:
+        """Returns the state in words."""
+        return self.verdicts[self.state]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Returns the statements that do not hold throughout."""
+        return [one.text for one in self.answer if one.state in ("ends", "fails")]
 
 
 def check_page() -> None:
@@ -106,7 +111,6 @@ def render(page: Page) -> str:
         .get_template("page.html.jinja")
         .render(
             page=page,
-            verdict=page.verdict or VERDICTS[page.state],
             mark=MARKS[page.state],
             style=_resource("page.css"),
             digest=_digest,
@@ -147,7 +151,7 @@ def _environment(number: Callable[[str], str]) -> Any:
 
 
 def _said(value: Any) -> Any:
-    """Returns a value as the page shows it: text escaped and its names isolated, markup unchanged."""
+    """Returns a value as the page shows it: text escaped, markup unchanged."""
     from markupsafe import Markup
 
     return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
@@ -187,7 +191,7 @@ def _digest(text: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid of two columns or more."""
+    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else "many" if figure.columns > 2 else ""
+    return "wide" if figure.columns == 1 else ""

@@ -3,12 +3,10 @@
 Lengths are in px. A px is 1/72 inch, so a font size in px is one in points.
 """
 
-import os
 import re
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -21,7 +19,7 @@ from models.common.errors import InputError
 from models.common.files import whole_file
 from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
-from models.document.reading import cut, drawn_text, isolated, notation, quoted_code, text_width, wrapped
+from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrapped
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
 SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
@@ -58,28 +56,15 @@ def check_drawing() -> None:
         InputError: matplotlib is not installed.
     """
     try:
-        _matplotlib()
+        import matplotlib  # noqa: F401
     except ImportError:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
 
 
-def _matplotlib() -> Any:
-    """Imports matplotlib. The environment's MPLBACKEND may name a backend that is not installed; nothing here needs one."""
-    given = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
-    try:
-        import matplotlib
-    finally:
-        if given is not None:
-            os.environ["MPLBACKEND"] = given
-    if given:
-        with suppress(ValueError):
-            matplotlib.rcParams["backend"] = given  # as matplotlib does, for the other code of this process
-    return matplotlib
-
-
 @contextmanager
 def _settings() -> Iterator[None]:
-    matplotlib = _matplotlib()
+    import matplotlib
+
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
         # Letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
         warnings.simplefilter("ignore", UserWarning)
@@ -362,7 +347,7 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
 
 MARK = "\0"
 STYLE = re.compile(r' style="([^"]*)"')
-TEXT = re.compile(r"(<text[^>]*>)([^<]*)(</text>)")
+ELEMENT = re.compile(r"<[^>]*>")
 CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""), (r'<g id="[^"]*"', "<g"))
 
 
@@ -408,15 +393,14 @@ def _inside(sheet: _Sheet) -> str:
     drawn = drawn[drawn.index('<g id="figure_1">') : drawn.rindex("</svg>")]
     for pattern, to in CLEAN:
         drawn = re.sub(pattern, to, drawn)
-    pieces = TEXT.split(drawn)
-    for k, piece in enumerate(pieces):
-        if k % 4 == 2:
-            pieces[k] = isolated(piece)
-        else:
-            piece = STYLE.sub(lambda style: _as_attributes(style[1]), piece)
-            piece = re.sub(r"(\.\d\d)\d+", r"\1", piece).replace("#000000", "currentColor").replace("xlink:href", "href")
-            pieces[k] = re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", piece)
-    return "".join(pieces)
+    return ELEMENT.sub(lambda element: _clean(element[0]), drawn)
+
+
+def _clean(element: str) -> str:
+    """Returns an element without its content, with presentation attributes and `MARK` in front of identifiers."""
+    element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
+    element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
+    return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)
 
 
 @lru_cache(maxsize=1024)

@@ -268,7 +268,7 @@ def _gallery(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({**gallery_object(results), **written(outputs)}, allow_nan=False))
     else:
-        say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.lead)])
+        say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0
 
 

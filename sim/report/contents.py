@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from models.document.document import Document, Table
-from models.document.page import VERDICTS, Page
+from models.document.page import Page
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
@@ -109,13 +109,12 @@ def report(
     names, kind = some_names([one.name for one in scope.driven]), vehicle.kind.name.replace("_", " ")
     whole = Page(
         f"{file_stem(vehicle)}: {names} on a {kind}, from linear analysis to MuJoCo",
-        tuple(one for section in sections for one in section.statements if one.state != "note"),
         first_screen(scope, runs, compared, dives(scope), where),
         tuple(sections),
         headline(compared),
         sketch=vehicle_sketch(vehicle),
     )
-    return Report(replace(whole, verdict=VERDICTS[whole.state].replace("the paper's bump", scope.where)), compared, where)
+    return Report(whole, compared, where)
 
 
 def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bool = False) -> tuple[str, ...]:
@@ -269,7 +268,7 @@ def report_object(report: Report) -> dict[str, Any]:
     whole = {
         "title": page.title,
         "headline": page.headline,
-        "lead": [one.text for one in page.lead] or [f"{page.headline}."],
+        "lead": [f"{page.headline}."],
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": tables,

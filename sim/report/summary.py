@@ -57,9 +57,10 @@ def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Stan
         values = [quantity.value(one) for one in compared]
         if any(values):
             changes = columns.get(f"{CHANGES.get(quantity)}{CHANGE}", ("-",) * len(names))
+            stars = (" ★" * (name in marked.get(quantity.key, ())) for name in names)
             words = tuple(
-                quantity.cell(one) + f" {change} %" * (change != "-") + " ★" * (one.controller in marked.get(quantity.key, ()))
-                for one, change in zip(compared, changes, strict=True)
+                f"{quantity.cell(one)}{f' {change} %'.replace('-', '−') if change != '-' else ''}{star}"
+                for one, change, star in zip(compared, changes, stars, strict=True)
             )
             lengths = quantity.scale * np.array([math.nan if value is None else value for value in values])
             panels.append(

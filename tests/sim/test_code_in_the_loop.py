@@ -18,10 +18,9 @@ from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import simulate
-from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
-from sim.report.scope import Exported, Scope
+from sim.report.scope import Scope
 from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
@@ -253,21 +252,17 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, driver))
+    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=driver)
     assert (EXPORTED, "") in pieces_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
-    assert facts["folder"] == str(folder)
-    assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert (
+        facts["SHA-256 of its manifest, which every file matches"]
+        == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    )
     assert facts["format"] == "C99 in float, law_step every 5 ms"
     assert changes["control force"] == "N"
     assert section.state == "holds"
-
-
-def test_no_folder_of_a_gallery(tmp_path):
-    """The page of the gallery is of no vehicle file, and so of no folder."""
-    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
-        report(["--gallery", "--as", str(tmp_path)])
 
 
 @needs_cc

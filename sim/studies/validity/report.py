@@ -14,7 +14,7 @@ from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, apart, notes
 from models.document.field import Field, at_most
-from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel
+from models.document.figure import BLACK, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
 from models.document.text import names_text
 from models.roads.road import Bump
@@ -35,7 +35,9 @@ OneEnd = tuple[Controller, RegimeEnd | None]
 SHARE = Field[float]("share of cells", float, "{:.1f} %".format, 100.0)
 HOLDS = Field[Cells]("linear analysis holds", lambda of: of.share(lambda one: one.error <= of.threshold), SHARE.form, 100.0)
 FIRST = tuple(
-    Field[Cells](f"{end} first" if end else "no limit", lambda of, i=i: float(np.mean(of.predicted == i)), SHARE.form, 100.0)
+    Field[Cells](
+        f"{end} first" if end else "no limit reached", lambda of, i=i: float(np.mean(of.predicted == i)), SHARE.form, 100.0
+    )
     for i, end in enumerate(("", *END_NAMES), -1)
 )
 VALIDITY = (
@@ -245,7 +247,7 @@ def envelope_figure(cells: Cells) -> Figure:
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
-    curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
+    curves += [_marks(np.array(at), ENCLOSED, "D")] if at else []
     curves += _markers(cells, places)
     return _figure(cells, LABELS[horizontal.name], LABELS[vertical.name], curves, ground)
 
@@ -255,21 +257,22 @@ ENCLOSED = "MuJoCo: height enclosed by two runs"
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
     """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
-    within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, str, Marker], list[int]]()
+    within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, Marker], list[int]]()
     for i, one in cells.driven.items():
-        kind: tuple[str, str, Marker] = ("no limit", GREEN, "o")
+        kind: tuple[str, Marker] = ("no limit", "o")
         if i in cells.others:
-            kind = ("another limit than predicted", "#000000", "x")
+            kind = ("another limit than predicted", "^")
+        elif one.end and one.error <= cells.threshold:
+            kind = (f"limit reached, analysis within {within}", "+")
         elif one.end:
-            holds = one.error <= cells.threshold
-            kind = (f"limit reached, analysis {'' if holds else 'not '}within {within}", VERMILLION, "+" if holds else "x")
+            kind = (f"limit reached, analysis not within {within}", "x")
         kinds.setdefault(kind, []).append(i)
-    return [_marks(places[mine], f"MuJoCo: {label}", color, marker) for (label, color, marker), mine in kinds.items()]
+    return [_marks(places[mine], f"MuJoCo: {label}", marker) for (label, marker), mine in kinds.items()]
 
 
-def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2)."""
-    return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
+def _marks(points: Array, label: str, marker: Marker) -> Curve:
+    """Returns markers at points, shape (N, 2): black, as those are legible on every colour of a map."""
+    return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
 def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], ground: Classes | None = None) -> Figure:
@@ -292,7 +295,7 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "limit", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
-        curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
+        curves.append(_marks(np.array(at), ENCLOSED, "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
     return _figure(cells, LABELS[axis.name], "share of the way to a limit", curves)
 
