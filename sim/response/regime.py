@@ -125,7 +125,8 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.fitted:
-        apart = np.abs(fitted.curve.pieces.force(response[over(vehicle, fitted)])).max(initial=0.0) / fitted.curve.range
+        d, v = response[fitted.deflection], response[over(vehicle, fitted)]
+        apart = np.abs(fitted.beyond(d, v)).max(initial=0.0) / fitted.curve.range
         shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
     return shares
 

@@ -142,7 +142,6 @@ def remainder(
         lines: slopes of the lines, shape (e,).
         resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
     """
-    curves = [curve for curve in pulls.curves if curve is not None]
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
     omega = highest / COUNT * np.arange(COUNT + 1)
     omega[0] = 1e-3 * omega[1]
@@ -152,7 +151,7 @@ def remainder(
     to_force = responses[..., wheels:]
     inputs = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
     of_road = math.sqrt(road.density) * responses[..., :wheels] @ inputs
-    identity, memory, noise = np.eye(len(curves)), np.zeros_like(to_force), np.zeros_like(to_force)
+    identity, memory, noise = np.eye(len(pulls.curves)), np.zeros_like(to_force), np.zeros_like(to_force)
     for rounds in range(1, MEMORY_ROUNDS + 1):
         closed = np.linalg.inv(identity - to_force @ memory)
         by_road, by_force = closed @ of_road, closed @ to_force
@@ -164,8 +163,8 @@ def remainder(
         rho = covariance / np.outer(deviations, deviations)
         back = np.fft.irfft(by_force, axis=0) / dt
         answer = np.concatenate([back[:1], back[1:COUNT] + back[:COUNT:-1], np.zeros_like(back[COUNT:])])
-        moments = [averages(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
-        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)])
+        moments = [averages(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)]
+        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)])
         force, slopes, of_noise = _second_order(rho, answer * dt, hermite, deviations)
         beyond = force + [mean for mean, _ in moments] - lines * means
         shifted = resting(beyond)
