@@ -1,7 +1,5 @@
 """`[curves]` of a vehicle file: tables of a damper's force over velocity, or a spring's over deflection, checked and thinned.
 
-A damper's table may be over velocity and deflection (`models.suspension.surface`).
-
 Curves of many points get fewer straight lines, after H. Imai and M. Iri (1986), An optimal algorithm for approximating a
 piecewise linear function, J. Inf. Process. 9, 159-162, with points of the curve as ends. Between points both are straight, so the
 error at the points is the error everywhere.
@@ -17,7 +15,7 @@ from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension.curve import ForceCurve, slope_at_rest
-from models.suspension.surface import ForceSurface, surface_of
+from models.suspension.surface_table import surface_from
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
@@ -100,7 +98,6 @@ class Argument:
 VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s")
 DEFLECTION = Argument("deflection", "m", 5.0, "mm")
 FRICTION = ("friction", "friction_velocity")
-SURFACE = "{ velocity = [...], deflection = [...], force = [[...], ...] }, a list of forces for each velocity"
 
 
 def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, ForceCurve]:
@@ -121,36 +118,13 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
             )
         with error_in(f"[curves] {name}:"):
             surface = parameters[name] is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
-            curves[name] = _surface_of(entry) if surface else curve_of(entry, parameters[name])
+            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name])
     return curves
 
 
 def curve_keys(over: Argument) -> tuple[str, ...]:
     """Returns the keys of a curve over this argument."""
     return over.name, "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ())
-
-
-def _surface_of(entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns a damper's force over velocity and deflection from its table. Errors as for `curve_of`."""
-    check_keys("", entry, ("velocity", "deflection", "force"))
-    if "velocity" not in entry or "force" not in entry:
-        raise InputError(f"{'force' if 'velocity' in entry else 'velocity'} is missing; give {SURFACE}")
-    v, d = _points(entry["velocity"], "velocity"), _points(entry["deflection"], "deflection")
-    rows = entry["force"] if isinstance(entry["force"], list) else []
-    widths = {len(row) if isinstance(row, list) else 0 for row in rows}
-    if len(rows) != len(v) or widths != {len(d)}:
-        raise InputError(
-            f"force needs {len(v)} lists, one for each velocity, with {len(d)} numbers, one for each deflection; it has {len(rows)}"
-            f" of {listing(map(str, sorted(widths)))}"
-        )
-    _check_argument(v, VELOCITY)
-    _check_argument(d, DEFLECTION, both_sides=False)
-    columns = [_from_rest(v, column, VELOCITY) for column in np.array([_points(row, "force") for row in rows]).T]
-    v, table = columns[0][0], np.stack([force for _, force in columns], axis=1)
-    for at, column in zip(d.tolist(), table.T, strict=True):
-        with error_in(f"at deflection {at:g} m:"):
-            _checked(ForceCurve(v, column, slope_at_rest(v, column), ""), VELOCITY)
-    return surface_of(v, d, table, f"{len(v)} velocities by {len(d)} deflections")
 
 
 def curve_of(entry: Any, over: Argument) -> ForceCurve:
@@ -195,7 +169,7 @@ def _points(given: Any, name: str) -> Array:
     return np.array(given, dtype=float)
 
 
-def _check_argument(x: Array, over: Argument, both_sides: bool = True) -> None:
+def _check_argument(x: Array, over: Argument) -> None:
     for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
         raise InputError(
             f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
@@ -203,12 +177,12 @@ def _check_argument(x: Array, over: Argument, both_sides: bool = True) -> None:
         )
     for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
         raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
-    if not (x[0] < 0 < x[-1] or (x[0] <= 0 <= x[-1] and not both_sides)):
+    if not x[0] < 0 < x[-1]:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
             "compressed, above 0 where it extends"
         )
-    if min(-x[0], x[-1]) < SMALLEST_REACH and both_sides:
+    if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides"
         )

@@ -99,10 +99,10 @@ class ForceSurface(ForceCurve):
     @cached_property
     def steepest(self) -> tuple[float, float]:
         """Bounds of the slopes of F - slope v over velocity [N s/m] and deflection [N/m], within the table's velocities."""
-        r, u = float(self.ratio.max()), float(np.abs(self.velocities).max())
-        _, b, c, e = np.abs(self.cells).max(axis=(1, 2))
-        turn, steep = float(np.abs(self.ratios[1]).max()), max(map(abs, self.slope_range))
-        return steep + self.slope, float(r * (c + e * u) + turn * (self.range / self.ratio.min() + steep / r * u))
+        over_v = np.abs(np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]).max()
+        over_d = np.abs(np.diff(self.table) / np.diff(self.deflections)).max()
+        r, turn, u = self.ratio.max(), np.abs(self.ratios[1]).max(), np.abs(self.velocities).max()
+        return float(r**2 * over_v + self.slope), float(r * over_d + turn * (np.abs(self.table).max() + over_v * u))
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:

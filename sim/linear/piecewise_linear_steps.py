@@ -23,6 +23,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
+from models.suspension.curve import ForceCurve
 from models.suspension.surface import ForceSurface
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements, elements
@@ -45,8 +46,8 @@ class CurvedSteps:
         self.elements = nonlinear = elements(vehicle, model)
         self.exact, self.timestep, self.count = exact, timestep, len(nonlinear.curves)
         # Behind the arguments of all curves are the deflections of surfaces, which push nothing by themselves.
-        self.surfaces = [(i, one) for i, one in enumerate(nonlinear.curves) if isinstance(one, ForceSurface)]
-        self.over_velocity = [i for i, _ in self.surfaces]
+        self.surfaces = [i for i, one in enumerate(nonlinear.curves) if isinstance(one, ForceSurface)]
+        self.alike = _alike(nonlinear.curves)
         self.rows = np.vstack([nonlinear.rows, nonlinear.travels])
         self.stacked = np.ascontiguousarray(np.vstack([model.A, self.rows]).T)
         self.arguments_of_road = np.vstack([nonlinear.of_road, nonlinear.travels_of_road]).T
@@ -55,8 +56,8 @@ class CurvedSteps:
         self.jump = model.jump.T
         self._tabulate(nonlinear)
         steepest = np.abs(self.slopes).max(axis=1, initial=0.0)
-        for k, (i, one) in enumerate(self.surfaces):
-            steepest[i], steepest[self.count + k] = one.steepest
+        for surface, i, k in self.alike:
+            steepest[i], steepest[self.count + k] = surface.steepest
         self.parts, self.order = _series(model.A, nonlinear, steepest, timestep)
         looks = np.arange(1, LOOKS + 1) / LOOKS
         self.looks = looks, looks[:, None] ** np.arange(self.order + 1)
@@ -65,7 +66,7 @@ class CurvedSteps:
         """Stores knots and slopes of every element, shapes (e, K) and (e, K + 1), and the pieces, padded to one width."""
         count, curves = self.count + len(self.surfaces), nonlinear.curves
         knots = [one.velocities if isinstance(one, ForceSurface) else one.x for one in curves]
-        knots += [one.deflections for _, one in self.surfaces]
+        knots += [one.deflections for one in curves if isinstance(one, ForceSurface)]
         width = max((len(x) for x in knots), default=0)
         self.knots = np.full((count, width), np.inf)
         self.low, self.high = np.full((count, width + 1), -np.inf), np.full((count, width + 1), np.inf)
@@ -104,7 +105,7 @@ class CurvedSteps:
         slope, start, low, high = self.pieces
         x = y[..., : self.count, None]
         force = np.minimum(np.maximum(slope * (x - start), low), high).sum(axis=-1)  # `np.clip` takes twice as long
-        for k, (i, surface) in enumerate(self.surfaces):
+        for surface, i, k in self.alike:
             force[..., i] = surface.beyond(y[..., i], y[..., self.count + k])
         return force
 
@@ -141,7 +142,7 @@ class CurvedSteps:
     def _exactly(self, xi: Array, constant: Array, offset: Array) -> Array:
         """Returns xi after a part of a step."""
         y = xi @ self.stacked[:, self.n :] + offset
-        for k, (i, surface) in enumerate(self.surfaces):  # a table's velocity is that of its damper
+        for surface, i, k in self.alike:  # a table's velocity is that of its damper
             d = y[:, self.count + k]
             ratio, steep = surface.ratios[:, np.searchsorted(surface.deflections, d)]
             y[:, i] *= ratio + steep * d
@@ -181,48 +182,60 @@ class CurvedSteps:
         rows = self.stacked[:, self.n :]
         M = self.stacked[:, : self.n] + (rows * slopes[:, None]) @ self.push
         c = constant + (slopes * offset + offsets) @ self.push
-        products = [_Product(one, where[:, i], where[:, self.count + k]) for k, (i, one) in enumerate(self.surfaces)]
+        products = self._products(where) if self.surfaces else None
         for i in range(self.order):
             rate = (series[i, :, None] @ M)[:, 0]
-            if products:
+            if products is not None:
                 y = series[i] @ rows + (offset if i == 0 else 0.0)
-                for k, (product, at) in enumerate(zip(products, self.over_velocity, strict=True)):
-                    rate += product.next(y[:, at], y[:, self.count + k])[:, None] * self.push[at]
+                rate += products.next(y[:, self.surfaces], y[:, self.count :]) @ self.push[self.surfaces]
             series[i + 1] = (rate + c if i == 0 else rate) * (step / (i + 1))
         np.matmul(series, rows, out=values)
         values[0] += offset
-        for k, (product, at) in enumerate(zip(products, self.over_velocity, strict=True)):
-            product.next(values[-1, :, at], values[-1, :, self.count + k])
-            values[..., at] = product.u
+        if products is not None:
+            products.next(values[-1][:, self.surfaces], values[-1, :, self.count :])
+            values[..., self.surfaces] = products.u
         return series, values
 
+    def _products(self, where: Array) -> "_Products":
+        """Returns the products of the cells that N runs are in, by their segments, shape (N, e + s)."""
+        shape = len(where), len(self.surfaces)
+        cells, ratios, lines = np.empty((4, *shape)), np.empty((2, *shape)), np.empty(shape[1])
+        for surface, i, k in self.alike:
+            column = where[:, self.count + k]
+            cells[..., k], ratios[..., k], lines[k] = (
+                surface.cells[:, where[:, i], column],
+                surface.ratios[:, column],
+                surface.slope,
+            )
+        return _Products(cells, ratios, lines, self.order)
 
-class _Product:
-    """Taylor series of a surface's force beyond its line, from those of velocity and deflection, in a cell for each of N runs."""
 
-    def __init__(self, surface: ForceSurface, row: Array, column: Array) -> None:
-        self._cell, self._ratio, self._line = surface.cells[:, row, column], surface.ratios[:, column], surface.slope
-        self._d: list[Array] = []
-        self._v: list[Array] = []
-        self._r: list[Array] = []
-        self._g: list[Array] = []
-        self.u: list[Array] = []
+class _Products:
+    """Taylor series of surfaces' forces beyond their lines, from those of velocity and deflection: s of them in N runs."""
+
+    def __init__(self, cells: Array, ratios: Array, lines: Array, order: int) -> None:
+        """Takes the coefficients of a cell and of r for each, shapes (4, N, s) and (2, N, s), and the slopes of the lines."""
+        self._cells, self._ratios, self._lines, self._i = cells, ratios, lines, 0
+        self._v, self._d, self._r, self._g, self.u = np.empty((5, order + 1, *cells.shape[1:]))
 
     def next(self, v: Array, d: Array) -> Array:
-        """Returns the next coefficient of the force [N], from those of velocity and deflection, shapes (N,)."""
-        first = not self._d
-        (a, b, c, e), (constant, steep) = self._cell, self._ratio
-        self._v.append(v)
-        self._d.append(d)
-        self._r.append(steep * d + (constant if first else 0.0))
-        self.u.append(_convolved(self._r, self._v))
-        self._g.append((a if first else 0.0) + b * self.u[-1] + c * d + e * _convolved(self.u, self._d))
-        return _convolved(self._r, self._g) - self._line * v
+        """Returns the next coefficients of the forces [N], from those of velocities and deflections, shape (N, s)."""
+        i, (a, b, c, e), (ratio, steep) = self._i, self._cells, self._ratios
+        self._i, first = i + 1, i == 0
+        self._v[i], self._d[i], self._r[i] = v, d, steep * d + ratio if first else steep * d
+        self.u[i] = (self._r[: i + 1] * self._v[i::-1]).sum(axis=0)
+        g = b * self.u[i] + c * d + e * (self.u[: i + 1] * self._d[i::-1]).sum(axis=0)
+        self._g[i] = g + a if first else g
+        return (self._r[: i + 1] * self._g[i::-1]).sum(axis=0) - self._lines * v
 
 
-def _convolved(p: Sequence[Array], q: Sequence[Array]) -> Array:
-    """Returns the last coefficient of a product of two series of equal length."""
-    return sum((one * other for one, other in zip(p, reversed(q), strict=True)), np.zeros_like(p[0]))
+def _alike(curves: Sequence[ForceCurve]) -> list[tuple[ForceSurface, Array, Array]]:
+    """Returns every surface with its indices among the curves, and among the surfaces."""
+    surfaces = [(i, one) for i, one in enumerate(curves) if isinstance(one, ForceSurface)]
+    groups: dict[int, list[tuple[int, int]]] = {}
+    for k, (i, one) in enumerate(surfaces):
+        groups.setdefault(id(one), []).append((i, k))
+    return [(surfaces[pairs[0][1]][1], *np.array(pairs).T) for pairs in groups.values()]
 
 
 def _series(A: Array, nonlinear: Elements, steepest: Array, timestep: float) -> tuple[int, int]:
