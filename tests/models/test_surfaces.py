@@ -210,21 +210,19 @@ def test_expected_values_over_random_roads():
         assert expected.mean[metric] == pytest.approx(np.sqrt(np.mean(found[metric] ** 2)), rel=0.03), metric
 
 
-COLUMNS = "velocity [m/s], deflection [mm], force [N]"
 ACROSS = "velocity [mm/s] / deflection [mm] / force [kN]"
 SQUEEZED = "compression velocity (m/s) \\ compression (mm) \\ force (N)"
+
+
+def rows(first, v, d, force, mark=","):
+    """The lines of a sheet."""
+    return "\n".join([mark.join([first, *map(str, d)]), *(mark.join(map(str, row)) for row in np.column_stack([v, force]))])
+
+
 FILES = {
-    "list": "\n".join(
-        [COLUMNS, *(f"{v}, {1e3 * d}, {f}" for d, row in zip(D, F.T, strict=True) for v, f in zip(V, row, strict=True))]
-    ),
-    "sheet": "\n".join(
-        [f"{ACROSS};" + ";".join(f"{1e3 * d:g}" for d in D)]
-        + [f"{1e3 * v:g};" + ";".join(f"{f / 1e3:g}" for f in row).replace(".", ",") for v, row in zip(V, F, strict=True)]
-    ),
-    "compression": "\n".join(
-        ["# of a rig", f"{SQUEEZED}," + ",".join(f"{-1e3 * d:g}" for d in D)]
-        + [f"{-v}," + ",".join(str(-f) for f in row) for v, row in zip(V, F, strict=True)]
-    ),
+    "list": "velocity [m/s], deflection [mm], force [N]\n" + "\n".join(f"{v}, {1e3 * d}, {bilinear(v, d)}" for d in D for v in V),
+    "sheet": rows(ACROSS, 1e3 * V, 1e3 * D, F / 1e3, ";").replace(".", ","),
+    "compression": "# of a rig\n" + rows(SQUEEZED, -V, -1e3 * D, -F),
 }
 
 
@@ -239,55 +237,35 @@ def test_a_file_is_the_table_in_its_place(tmp_path, form):
             np.testing.assert_allclose(getattr(read.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give each pair once"),
-        (
-            FILES["sheet"].replace(ACROSS, "v"),
-            "its first cell is 'v'; write the quantities with their units there: velocity [m/s]",
-        ),
-        (FILES["sheet"].replace("deflection", "travel"), "'travel' has no direction; write deflection, which is positive in ext"),
-        (FILES["sheet"].replace("[mm/s]", "[kg]"), "write the quantities with their units there"),
-    ],
-)
-def test_a_file_without_a_table(tmp_path, content, said):
-    """What is missing in a file is one line that says what to write."""
-    (tmp_path / "damper.csv").write_text(content)
+WRONG = [
+    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give each pair once"),
+    (FILES["sheet"].replace(ACROSS, "v"), "its first cell is 'v'; write the quantities with their units there: velocity"),
+    (FILES["sheet"].replace("deflection", "travel"), "'travel' has no direction; write deflection, which is positive in ext"),
+    ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
+    ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 at point 2; sort the points, each once"),
+    ({"v": 1e3 * V}, "velocity has -900.0; give numbers up to 50 m/s, not mm/s"),
+    ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give both sides of rest"),
+    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range with equilibrium"),
+    ({"force": F + 50}, "its force at rest is 50 N at deflection -0.04 m, and a damper's is 0; subtract the force of its"),
+    ({"force": -F}, "its force at -0.9 m/s and -0.04 m is 1500 N: that feeds energy in"),
+    ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "its force at deflection -0.04 m falls beyond -0.9 m/s"),
+    (
+        {"more": '[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0'},
+        "is over velocity and deflection, and [actuators] has",
+    ),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG)
+def test_a_table_that_no_damper_has(tmp_path, given, said):
+    """Whatever is wrong with a file or a table, or does not go with it, is one line that says what, and what to give."""
+    (tmp_path / "damper.csv").write_text(given if isinstance(given, str) else "")
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping='{ file = "damper.csv" }'))
     with refused(said, "[curves] suspension_damping"):
-        read_vehicle(tmp_path / "mine.toml")
+        read_vehicle(tmp_path / "mine.toml") if isinstance(given, str) else tabled(**given)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "said"),
-    [
-        ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
-        ({"force": F.T}, "force has 4 lists, of 5 numbers; give 5 lists"),
-        ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 at point 2; sort the points, each once"),
-        ({"v": 1e3 * V}, "velocity has -900.0; give numbers up to 50 m/s, not mm/s"),
-        ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give both sides of rest"),
-        ({"d": 1e3 * D}, "deflection has -40.0; give numbers up to 5 m, not mm"),
-        ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range with equilibrium"),
-        (
-            {"force": F + 50},
-            "its force at rest is 50 N at deflection -0.04 m, and a damper's is 0; subtract the force of its gas",
-        ),
-        ({"force": -F}, "its force at -0.9 m/s and -0.04 m is 1500 N: that feeds energy in"),
-        ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "its force at deflection -0.04 m falls beyond -0.9 m/s"),
-    ],
-)
-def test_a_table_that_no_damper_has(numbers, said):
-    """Whatever is wrong with the table is one line that says what, and what to give."""
-    with refused(said, "[curves] suspension_damping:"):
-        tabled(**numbers)
-
-
-def test_what_does_not_go_with_a_table():
-    """A semi-active damper in the same place is refused, as are a payload, which moves equilibrium, and other keys."""
-    with refused("[curves] suspension_damping is over velocity and deflection, and [actuators] has a semi-active damper there"):
-        tabled(more='[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0')
+def test_a_payload_moves_the_equilibrium_of_a_table():
+    """A payload, which sinks the car, is refused, as the table is about the rest without it."""
     with refused("[payload] sinks the car, and the curve suspension_damping is about its rest"):
         tabled(more="[payload]\nmass = 80.0")
-    with refused("unknown key 'friction'"):
-        with_curves(suspension_damping=table().replace("{", "{ friction = 20.0,", 1))
