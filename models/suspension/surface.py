@@ -82,7 +82,7 @@ class ForceSurface(ForceCurve):
         steep = np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None] * self.ratio**2
         return float(steep.min()), float(steep.max())
 
-    @property
+    @cached_property
     def range(self) -> float:
         """See `ForceCurve.range`."""
         return float(np.abs(self.ratio * self.table).max())
