@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.kinds import signals
-from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel, motion_ratio
 from models.kinds.linear_model import LinearModel
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
@@ -24,6 +24,7 @@ PARAMETERS = (
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
     Parameter("tyre_stiffness", "N/m", "k_t (the paper's k_u)", varied=Variation("tyre stiffness", 0.75, 1.25)),
     Parameter("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
+    motion_ratio("motion_ratio"),
 )
 
 STATES = (

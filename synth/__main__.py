@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return check_folder(options.check, options)
     vehicle = read_vehicle(options.check or options.vehicle)
-    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+    for doubt in unit_doubts(vehicle.kind.at_wheels(vehicle.parameters), vehicle.limits):
         complain(doubt)
     if options.export is not None:
         from synth.command.export import export

@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
+import numpy as np
+
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
 from models.common.errors import InputError, alike
 from models.common.printed import Shown
@@ -96,6 +98,12 @@ class Parameter(Checked):
         return number_within(self.name, value, smallest, self.largest, self.unit)
 
 
+def motion_ratio(name: str) -> Parameter:
+    """Returns the parameter of the motion ratio of an axle, or of the only suspension."""
+    meaning = "r, travel of spring, damper, bump stop and actuator per wheel travel; 1 if they are at the wheel"
+    return Parameter(name, "1", meaning, smallest=0.05, largest=5.0, optional=True)
+
+
 def is_number(value: Any) -> bool:
     """Returns True if the value is a number that a vehicle file may hold."""
     return is_finite(value) and abs(value) <= LARGEST
@@ -105,6 +113,7 @@ HERE = Path(__file__).parent.parent  # folder of the shipped kinds
 GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
+OF_SUSPENSION = ("suspension_stiffness", "suspension_damping", "motion_ratio")  # beginnings of its parameters' usual names
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
@@ -182,6 +191,8 @@ class Suspension(Checked):
         tendon: name of the MJCF tendon; the bump stop is parallel to it.
         force: input that pushes along it; empty for a passive one.
         stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
+        ratio: parameter of its motion ratio, travel of all its elements per wheel travel; empty for elements at the wheel. The
+            equations of the kind are for elements at the wheel: `VehicleKind.at_wheels` converts.
     """
 
     deflection: Name
@@ -189,6 +200,11 @@ class Suspension(Checked):
     force: str = ""
     stiffness: str = ""
     damping: str = ""
+    ratio: str = ""
+
+    def motion_ratio(self, parameters: Parameters) -> float:
+        """Returns its motion ratio."""
+        return parameters.get(self.ratio, 1.0)
 
     @property
     def ending(self) -> str:
@@ -326,12 +342,32 @@ class VehicleKind(Checked):
         known = set(self.signals)  # to compare signals one by one took longer than to compile a model
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
+    def at_wheels(self, parameters: Parameters) -> Parameters:
+        """Returns the parameters with k r^2 and c r^2 for springs and dampers of motion ratio r, and ratios of 1."""
+        ratios = {part.ratio: ratio for part in self.suspensions if (ratio := part.motion_ratio(parameters)) != 1}
+        if not ratios:
+            return parameters
+        rates = {
+            name: parameters[name] * ratios[part.ratio] ** 2
+            for part in self.suspensions
+            if part.ratio in ratios
+            for name in (part.stiffness, part.damping)
+            if name in parameters
+        }
+        return {**parameters, **rates, **dict.fromkeys(ratios, 1.0)}
+
+    def _at_ratios(self, parameters: Parameters) -> LinearModel:
+        """Returns the linear model of the kind with its elements at their motion ratios."""
+        model = self.linear_model(self.at_wheels(parameters))
+        ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
+        return model.geared(np.array([ratios.get(force, 1.0) for force in model.inputs]))
+
     def model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             names = {signal.name for signal in self.signals}
-            model = self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+            model = self._with_rates(self._at_ratios(parameters).without(self.unnamed), names)
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             kept[key] = model
@@ -343,7 +379,7 @@ class VehicleKind(Checked):
 
     def whole_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals: those on demand, and the suspensions' velocities."""
-        model = self.linear_model(parameters)
+        model = self._at_ratios(parameters)
         return self._with_rates(model, {part.velocity.name for part in self.suspensions if model.has_rate(part.deflection)})
 
     def _with_rates(self, model: LinearModel, names: Collection[str]) -> LinearModel:
@@ -362,7 +398,7 @@ class VehicleKind(Checked):
             if name.startswith(SUSPENSION_DEFLECTION.name):
                 ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
                 force = f"{CONTROL_FORCE.name}{ending}"
-                parameters = (self.of_corner(part, ending) for part in ("suspension_stiffness", "suspension_damping"))
+                parameters = (self.of_corner(part, ending) for part in OF_SUSPENSION)
                 suspensions.append(Suspension(name, f"suspension{ending}", force if force in names else "", *parameters))
         return tuple(suspensions)
 
@@ -434,7 +470,7 @@ class VehicleKind(Checked):
             InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
         """
         checked = self.check_each(parameters)
-        self.check_together(checked)
+        self.check_together(self.at_wheels(checked))
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze > MOST_SQUEEZE:
                 raise InputError(

@@ -72,6 +72,14 @@ class Stops:
         both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
+    def at_wheel(self, ratio: float) -> "Stops":
+        """Returns the stops that act so at the wheel, through a motion ratio."""
+        if ratio == 1:
+            return self
+        powers = ratio ** np.arange(2, 2 + MOST)
+        both = (self.bump, self.rebound)
+        return Stops(*(Stop(one.stroke / ratio, tuple((powers * one.stiffness).tolist())) for one in both))
+
     @property
     def acts(self) -> bool:
         """True if they push back at all."""

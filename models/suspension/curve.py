@@ -67,6 +67,10 @@ class ForceCurve:
         """Returns the curve with all forces multiplied by a factor."""
         return self if factor == 1 else replace(self, force=factor * self.force, slope=factor * self.slope)
 
+    def at_wheel(self, ratio: float) -> "ForceCurve":
+        """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
+        return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
+
     @cached_property
     def slopes(self) -> Array:
         """Slopes of all segments, the two extrapolating ones included, shape (n + 1,)."""

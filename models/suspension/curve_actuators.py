@@ -109,7 +109,7 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
         parts = [actuator]
         for number, (knot, slope, side) in enumerate(ramps, 1):
             ramp = spec.add_actuator(name=f"{prefix}{placed.force}_{number}", target=tendon)
-            ramp.trntype = mujoco.mjtTrn.mjTRN_TENDON
+            ramp.trntype, ramp.gear[0] = mujoco.mjtTrn.mjTRN_TENDON, placed.ratio
             ramp.gaintype, ramp.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
             ramp.gainprm[:3] = [slope * knot, 0.0, -slope]
             ramp.biasprm[:3] = [-placed.low * slope * knot, 0.0, placed.low * slope]

@@ -42,6 +42,10 @@ class Suspended(Protocol):
         """The parameter of its damper; empty if it has no damper."""
         ...
 
+    def motion_ratio(self, parameters: Mapping[str, float]) -> float:
+        """Returns its motion ratio."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class SuspensionCurve:
@@ -52,7 +56,8 @@ class SuspensionCurve:
         tendon: name of the tendon in the MJCF.
         parameter: the parameter that it replaces.
         over: argument of the curve.
-        curve: the curve; its slope is the parameter's value.
+        curve: the curve at the wheel; its slope is the parameter's value times the square of the motion ratio.
+        ratio: motion ratio of the element.
     """
 
     deflection: str
@@ -60,6 +65,7 @@ class SuspensionCurve:
     parameter: str
     over: Argument
     curve: ForceCurve
+    ratio: float = 1.0
 
     @property
     def damps(self) -> bool:
@@ -75,7 +81,7 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
 
 def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
-    bent = {placed.parameter: placed.curve for placed in curves if len(placed.curve.pieces.slope)}
+    bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if len(placed.curve.pieces.slope)}
     return ", ".join(
         f"{name} {curve.slope:.4g} (elsewhere {curve.slopes.min():.4g} to {curve.slopes.max():.4g})"
         for name, curve in bent.items()
@@ -100,13 +106,14 @@ def fitted(
     parameters: Mapping[str, float],
     dampers: Mapping[str, ForceCurve | None],
 ) -> tuple[SuspensionCurve, ...]:
-    """Returns every suspension's curves, scaled to the vehicle's parameters.
+    """Returns every suspension's curves at the wheel, scaled to the vehicle's parameters.
 
     Args:
         dampers: the curves of adjustable dampers, by the suspension's deflection; None for a straight one.
     """
     placed = []
     for suspension in suspensions:
+        ratio = suspension.motion_ratio(parameters)
         for name, over in ((suspension.stiffness, DEFLECTION), (suspension.damping, VELOCITY)):
             if over is VELOCITY and suspension.deflection in dampers:
                 curve = dampers[suspension.deflection]
@@ -114,5 +121,5 @@ def fitted(
                 curve = curves.get(name)
                 curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
             if curve is not None:
-                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve))
+                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve.at_wheel(ratio), ratio))
     return tuple(placed)

@@ -62,7 +62,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    vehicle.kind.write_mjcf(spec, vehicle.parameters)
+    vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
     _write_limits(spec, vehicle)
     _write_curves(spec, vehicle)
     if vehicle.dampers:
@@ -70,6 +70,10 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
 
         tendons = {suspension.force: suspension.tendon for suspension in vehicle.kind.suspensions}
         write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
+    ratios = vehicle.motion_ratios
+    for actuator in spec.actuators:
+        if actuator.name in ratios:
+            actuator.gear[0] *= ratios[actuator.name]
     return spec
 
 
@@ -123,7 +127,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; if bump and rebound differ,
     each is a spring of its own, slack to the other side.
     """
-    limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
+    limits, stops = vehicle.limits, vehicle.stops
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
     by_tendon = {name: pair for name, pair in by_tendon.items() if pair.acts}
     if names := list(by_tendon):

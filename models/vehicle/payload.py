@@ -64,7 +64,7 @@ def laden(
             heavier[name] += moved
     with error_in("[payload]: with it"):
         checked = kind.check(heavier)
-    return checked, _sunk(kind, model, load, limits)
+    return checked, _sunk(kind, model, load, limits, parameters)
 
 
 def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[float, dict[str, float]]:
@@ -87,7 +87,9 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
     return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
 
 
-def _sunk(kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits) -> Limits:
+def _sunk(
+    kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits, parameters: Mapping[str, float]
+) -> Limits:
     """Returns the limits with strokes from the laden rest."""
     stops = limits.stops(kind.suspensions)
     if not stops:
@@ -97,7 +99,8 @@ def _sunk(kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limi
     for part in kind.suspensions:
         if part.deflection not in stops:
             continue
-        pair, stretched = stops[part.deflection], float(model.rows([part.deflection])[0][0] @ rest)
+        pair = stops[part.deflection]
+        stretched = part.motion_ratio(parameters) * float(model.rows([part.deflection])[0][0] @ rest)
         left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(

@@ -35,6 +35,7 @@ from models.vehicle.sections import (
 if TYPE_CHECKING:
     from models.laws.filter import Filter
     from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.fitted_curves import SuspensionCurve
@@ -142,7 +143,7 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def fitted(self) -> "tuple[SuspensionCurve, ...]":
-        """Curves of its suspensions, scaled to its parameters."""
+        """Curves of its suspensions at the wheels, scaled to its parameters."""
         if not (self.curves or self.dampers):
             return ()
         from models.suspension.fitted_curves import fitted
@@ -160,7 +161,7 @@ class Vehicle(ShownVehicle):
 
         For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
         """
-        model, kind = self.linear_model, self.kind
+        model, kind, parameters = self.wheel_model, self.kind, self.kind.at_wheels(self.parameters)
         suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
         push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
         for j, name in enumerate(deflections):
@@ -171,8 +172,8 @@ class Vehicle(ShownVehicle):
                 continue
             parameter = suspensions[name].stiffness
             stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
-            more = kind.model({**self.parameters, parameter: 2 * self.parameters[parameter]})
-            by = np.linalg.pinv(model.rows(stretched)[0]) / self.parameters[parameter]
+            more = kind.model({**parameters, parameter: 2 * parameters[parameter]})
+            by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
             push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
             outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
         # The outputs of actuator forces do not include curves.
@@ -189,6 +190,23 @@ class Vehicle(ShownVehicle):
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters."""
         return self.kind.model(self.parameters)
+
+    @property
+    def wheel_model(self) -> LinearModel:
+        """Linear model whose inputs are forces at the wheels: those of actuators times their motion ratios."""
+        return self.kind.model(self.kind.at_wheels(self.parameters))
+
+    @cached_property
+    def motion_ratios(self) -> Mapping[str, float]:
+        """Motion ratio of every force, in the order of the linear model's inputs."""
+        ratios = {part.force: part.motion_ratio(self.parameters) for part in self.kind.suspensions}
+        return {force: ratios.get(force, 1.0) for force in self.linear_model.inputs}
+
+    @cached_property
+    def stops(self) -> "dict[str, Stops]":
+        """Bump stops as they act at the wheels, by deflection; those of `[limits]` are at their motion ratios."""
+        ratios = {part.deflection: part.motion_ratio(self.parameters) for part in self.kind.suspensions}
+        return {name: stops.at_wheel(ratios[name]) for name, stops in self.limits.stops(self.kind.suspensions).items()}
 
     def _repr_html_(self) -> str:
         from models.document.notebook import gain_curve, gain_panel, notebook_figure

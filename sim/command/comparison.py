@@ -82,7 +82,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 
 def warn(vehicle: Vehicle, controllers: Iterable[AnyController]) -> None:
     """Warns on stderr of numbers of a vehicle that are probably not in SI units, and as `say_false_claims` does."""
-    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+    for doubt in unit_doubts(vehicle.kind.at_wheels(vehicle.parameters), vehicle.limits):
         complain(doubt)
     say_false_claims(controllers)
 

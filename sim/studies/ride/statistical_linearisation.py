@@ -273,9 +273,11 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     signals, names = [over(vehicle, one) for one in curves], [one.parameter for one in curves]
     pulls = elements(vehicle, vehicle.linear_model)
     slopes, means = np.array([one.curve.slope for one in curves]), np.zeros(len(curves))
+    squares = {one.parameter: one.ratio**2 for one in curves}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **shared})
+        of_elements = {name: slope / squares[name] for name, slope in shared.items()}
+        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
         if LoopModel(linear, controller, timestep).radius >= 1:
             return None
         deviations = _deviations(linear, controller, road, timestep, signals)

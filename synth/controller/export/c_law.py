@@ -148,6 +148,8 @@ def exported_law(
         raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
         raise InputError("adjustable dampers with curves are not exported; give them c_min and c_max alone")
+    if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.adjustable):
+        raise InputError("a linear law on adjustable dampers with a motion ratio is not exported; export a semi-active law")
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
         raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
     if how.delay != int(how.delay):
