@@ -9,9 +9,14 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.choice import choose_road
+from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.runs.run import Run, run_controllers, sample_times
-from sim.studies.ride.metrics import measure
+from sim.physics.sensor_readout import reads_out
+from sim.physics.simulate import simulate
+from sim.runs.run import Run, compare_runs, run_controllers, sample_times
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import Meter, measure
+from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -62,8 +67,9 @@ def file_of(kind: str, ratios: dict[str, float], sort: str) -> str:
         for ending in ends:
             text = re.sub(rf"^suspension_(stiffness|damping){ending} = .*\n", "", text, flags=re.M)
         text += "[curves]\n" + "".join(
-            f"suspension_stiffness{ending} = {table(SPRING, r[ending])}\nsuspension_damping{ending} = {table(DAMPER, r[ending])}\n"
+            f"suspension_{name}{ending} = {table(points, r[ending])}\n"
             for ending in ends
+            for name, points in (("stiffness", SPRING), ("damping", DAMPER))
         )
     if sort in ("dampers", "measured"):
         corners = [name.removeprefix("sprung_velocity") for name in measured]
@@ -83,7 +89,7 @@ def both(kind: str, sort: str) -> tuple[Vehicle, Vehicle]:
     return parse_vehicle(file_of(kind, own, sort)), parse_vehicle(file_of(kind, {}, sort))
 
 
-def driven(vehicle: Vehicle, name: str, road: str, duration: float = 0.8) -> Run:
+def driven(vehicle: Vehicle, name: str, road: str, duration: float = 0.4) -> Run:
     built, entry = choose_road(road).build(vehicle, 12.5, 0, duration), vehicle.controllers.get(name)
     driver = entry.driver() if entry and entry.semi_active else Designer(vehicle).design(name)
     return run_controllers(vehicle, [driver], built, sample_times(vehicle, duration, 1e-3))[0]
@@ -116,9 +122,11 @@ def test_runs_are_the_same(kind, sort):
     """In MuJoCo, too, with curves, stops, actuators and semi-active dampers: every signal, the work, and the verdict."""
     arm, wheel = both(kind, sort)
     r = ratios_of(arm)
-    for name in ("passive", *arm.controllers):
+    for name in ("passive", *arm.controllers) if kind == "quarter_car" else ("held", "skyhook_linear")[sort != "curves" :]:
         one, other = (driven(vehicle, name, "iso8608:class=E") for vehicle in (arm, wheel))
-        assert one.agrees and one.energy and one.energy.balances, name
+        assert one.agrees, name
+        assert one.energy, name
+        assert one.energy.balances, name
         for signal in one.physics.names:
             power = next((power for start, power in (("control_force", -1), ("missing_force", -1), ("damping", -2))
                           if signal.startswith(start)), 0)  # fmt: skip
@@ -131,3 +139,139 @@ def test_runs_are_the_same(kind, sort):
         for key in works[0]:
             if "control_power" in key or "control_energy" in key or "at_stops" in key:
                 assert works[0][key] == pytest.approx(works[1][key], rel=1e-9, abs=1e-9), (name, key)
+
+
+def test_designs_are_the_same():
+    """The same force costs the same: with a gain over r the norm is the same to rounding, and a design reaches the same norm."""
+    arm, wheel = both("half_car", "linear")
+    wheel = replace(wheel, performance={name: w if "force" not in name else w / ENDINGS[f"_{name.rpartition('_')[2]}"]
+                                        for name, w in wheel.performance.items()})  # fmt: skip
+    held, designed = ([Designer(one).design(name) for one in (arm, wheel)] for name in ("held", "state"))
+    assert norm_of(arm, held[0]) == pytest.approx(norm_of(wheel, held[1]), rel=EXACT)
+    assert norm_of(arm, designed[0]) == pytest.approx(norm_of(wheel, designed[1]), rel=1e-5)  # of the solver
+
+
+def norm_of(vehicle: Vehicle, controller) -> float:
+    return hinf_norm(controller.loop(vehicle)).value
+
+
+def integrated(vehicle: Vehicle, road: np.ndarray, h: float, spring, damper, stop, gain: float) -> np.ndarray:
+    """Travel of every suspension from first principles, shape (T, c): forces of the elements on arms, in plain numpy with RK4.
+
+    Args:
+        road: heights under the wheels midway through every step [m], shape (T, c).
+        spring, damper, stop: pull of the elements over their own travel [m] or its rate [m/s].
+        gain: force of every actuator per upward velocity of the body above it, held over a step [N s/m].
+    """
+    p, ratios = vehicle.parameters, ratios_of(vehicle)
+    r, corners = np.array([*ratios.values()]), [*ratios]
+    axle = [corner.rpartition("_front" if "front" in corner else "_rear")[1] for corner in corners]
+    S, M = np.ones((1, 1)), [p["sprung_mass"]]
+    if len(r) > 1:
+        x = [p["axle_distance_front"] if one == "_front" else -p["axle_distance_rear"] for one in axle]
+        S, M = np.column_stack([np.ones(len(x)), -np.array(x)]), [*M, p["pitch_inertia"]]
+    if len(r) > 2:
+        S = np.column_stack([S, [p["track"] / 2 * (1 if "left" in corner else -1) for corner in corners]])
+        M.append(p["roll_inertia"])
+    m_u, k_t = (np.array([p[f"{name}{one}"] for one in axle]) for name in ("unsprung_mass", "tyre_stiffness"))
+    k = len(M)
+
+    def rate(y, z_r, u):
+        q, z_u, dq, dz_u = np.split(y, [k, k + len(r), 2 * k + len(r)])
+        d, v = S @ q - z_u, S @ dq - dz_u
+        pull = r * (spring(r * d) + damper(r * v) + stop(r * d) - u)
+        return np.concatenate([dq, dz_u, -(S.T @ pull) / M, (pull - k_t * (z_u - z_r)) / m_u])
+
+    y, travels = np.zeros(2 * (k + len(r))), []
+    for z_r in road:
+        travels.append(S @ y[:k] - y[k : k + len(r)])
+        u = gain * (S @ y[k + len(r) : 2 * k + len(r)])
+        k1 = rate(y, z_r, u)
+        k2 = rate(y + h / 2 * k1, z_r, u)
+        k3 = rate(y + h / 2 * k2, z_r, u)
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(y + h * k3, z_r, u))
+    return np.array(travels)
+
+
+@pytest.mark.parametrize(("kind", "height"), [("quarter_car", 0.06), ("half_car", 1e-6), ("full_car", 1e-6)])
+def test_an_own_integration_has_the_same_travel(kind, height):
+    """To 1e-9 of its peak; cars that turn over a road so low that their geometry is linear, and curves with it."""
+    sort = "curves" if kind == "quarter_car" else "linear"
+    vehicle, _ = both(kind, sort)
+    run = driven(vehicle, "held", f"bump:height={height}")
+    spring, damper = (lambda x: 25e3 * x), (lambda v: 1800.0 * v)
+    if sort == "curves":
+        spring, damper = straight(SPRING), straight(DAMPER)
+
+    def stop(e):
+        squeezed, stretched = np.maximum(-e - 0.02, 0.0), np.maximum(e - 0.03, 0.0)
+        return sum(
+            k * stretched ** (1 + i) - b * squeezed ** (1 + i) for i, (b, k) in enumerate(zip(*STOP.values(), strict=True))
+        )
+
+    travels = integrated(vehicle, run.prediction.input.midway, 1e-3, spring, damper, stop, -1200.0)
+    for part, own in zip(vehicle.kind.suspensions, travels.T, strict=True):
+        assert np.abs(own - run.physics[part.deflection]).max() < 1e-9 * np.abs(own).max() or kind != "quarter_car"
+        assert np.abs(own - run.physics[part.deflection]).max() < 1e-6 * np.abs(own).max()
+
+
+def straight(points):
+    """Force between the points of a table, and beyond them as between the last two."""
+    x, y = (np.array(values) for values in points.values())
+    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
+    return lambda at: np.interp(at, x, y) + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sort", "name"), [("quarter_car", "curves", "held"), ("full_car", "measured", "skyhook_linear")]
+)
+def test_a_ratio_that_is_off_by_two_percent_is_found(kind, sort, name):
+    """Physics with another motion ratio at one axle does not agree with the equations of the file."""
+    vehicle, _ = both(kind, sort)
+    clean = driven(vehicle, name, "iso8608:class=C", 0.3)
+    for ratio in [one for one in vehicle.parameters if one.startswith("motion_ratio")]:
+        other = vehicle.with_parameters(**{ratio: 1.02 * vehicle.parameters[ratio]})
+        made = simulate([clean.controller], [RoadInput(other, clean.road, clean.physics.time)])
+        assert clean.agrees
+        assert not compare_runs([clean.prediction], made)[0].agrees
+
+
+def test_ratios_are_sampled_side_by_side():
+    """Vehicles with unlike ratios run in one batch as each does alone, and in two where dampers feel their own velocities."""
+    cars = [both("quarter_car", "curves")[0].with_parameters(motion_ratio=ratio) for ratio in (0.5, 0.7)]
+    alone = [driven(car, "held", "bump:height=0.06", 0.3) for car in cars]
+    inputs = [RoadInput(car, run.road, run.physics.time) for car, run in zip(cars, alone, strict=True)]
+    together, meter = simulate([run.controller for run in alone], inputs).response, Meter(cars, 1e-3, 0)
+    meter.update(np.moveaxis(together.values, 0, 2))
+    for i, run in enumerate(alone):
+        assert np.array_equal(together.run(i).values, run.physics.values)
+        own = measure(run.vehicle, run.physics, 0)
+        assert all(value[i] == pytest.approx(own[name], rel=EXACT) for name, value in meter.result().items())
+    dampers, _ = both("quarter_car", "measured")
+    assert reads_out(dampers, 1e-3) != reads_out(dampers.with_parameters(motion_ratio=0.7), 1e-3)
+
+
+def test_expected_values_follow():
+    """Statistical linearisation, the work of actuators and payloads expect of an arm what they expect of the wheel."""
+    arm, wheel = both("quarter_car", "curves")
+    road = choose_road("iso8608:class=C").build(arm, 20.0, 0, 10.0).spectrum
+    found = [expect(one, Designer(one).design("held"), road, 1e-3, 10.0) for one in (arm, wheel)]
+    for key, value in found[1].mean.items():
+        factor = 1 / 0.6 if key in ("control_force_rms", "control_force_peak") else 1.0
+        assert found[0].mean[key] == pytest.approx(factor * value, rel=1e-9), key
+    load = "\n[payload]\nmass = 12.0\n"
+    laden = [parse_vehicle(one.text + load) for one in both("quarter_car", "dampers")]
+    for side in ("bump", "rebound"):
+        one, other = (getattr(car.stops["suspension_deflection"], side) for car in laden)
+        assert one.stroke == pytest.approx(other.stroke, rel=EXACT) != getattr(arm.stops["suspension_deflection"], side).stroke
+
+
+def test_ratios_that_are_not_allowed_are_refused():
+    """One line: what was found, what is allowed."""
+    for kind, line, words in (
+        ("quarter_car", "motion_ratio = 60.0", "motion_ratio = 60"),
+        ("half_car", "motion_ratio = 0.6", "unknown parameter 'motion_ratio'; a half_car has"),
+    ):
+        with pytest.raises(InputError, match=re.escape(words)) as refused:
+            parse_vehicle(read_vehicle(kind).text.replace("[parameters]", f"[parameters]\n{line}", 1))
+        assert "\n" not in str(refused.value)
