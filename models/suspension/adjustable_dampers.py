@@ -21,6 +21,7 @@ from models.common.errors import InputError
 from models.suspension.curve import ForceCurve
 from models.suspension.damper import Damper
 from models.suspension.fitted_curves import Suspended, SuspensionCurve
+from models.suspension.surface import ForceSurface
 
 COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
 ROUNDING = 1e-9  # relative to the force of curve and line
@@ -118,6 +119,11 @@ def adjustable(
         if not part.damping:
             raise InputError(
                 f"[actuators] the vehicle type does not define the damper at {part.force}; set the damping of its Suspension"
+            )
+        if isinstance(curves.get(part.damping), ForceSurface):
+            raise InputError(
+                f"[curves] {part.damping} is over velocity and deflection, and [actuators] has a semi-active damper there; "
+                "omit one of them, or give the curve over velocity alone"
             )
         nominal = parameters[part.damping]
         if not damper.c_min <= nominal <= damper.c_max:

@@ -88,6 +88,16 @@ class ForceCurve:
                 rows.append((slope, near, min(end, 0.0), max(end, 0.0)))
         return Pieces(*np.array(rows).reshape(-1, 4).T)
 
+    @property
+    def bent(self) -> bool:
+        """True if it differs from its line."""
+        return len(self.pieces.slope) > 0
+
+    @property
+    def slope_range(self) -> tuple[float, float]:
+        """The smallest and the largest slope."""
+        return float(self.slopes.min()), float(self.slopes.max())
+
     def work(self, x: Array) -> Array:
         """Returns the deviation from its line, integrated from rest to some arguments, shape (...)."""
         edges = np.concatenate([[-np.inf], self.x, [np.inf]])
@@ -119,3 +129,10 @@ class ForceCurve:
             share = (np.sign(apart[i]) * limit - apart[i - 1]) / (apart[i] - apart[i - 1])
             arguments.append(float(x[i - 1] + share * (x[i] - x[i - 1])))
         return arguments[0], arguments[1]
+
+
+def slope_at_rest(x: Array, force: Array) -> float:
+    """Returns the mean of the slopes on both sides of rest, from the points of a curve."""
+    i = int(np.searchsorted(x, 0.0))
+    slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
+    return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())

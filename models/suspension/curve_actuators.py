@@ -3,6 +3,9 @@
 An actuator with zero control, a bias that is affine in length and speed, and a `forcerange` that clips it, is one straight piece
 of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
 a damping ratio.) The suspension's own spring and damper stay, with the curve's slope at rest; the pieces add the deviation.
+
+MuJoCo has no product of length and speed. A damper over velocity and deflection is one motor, which `sim.physics.surface_steps`
+controls in every stage of RK4.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +22,7 @@ from models.suspension.fitted_curves import SuspensionCurve
 # MuJoCo's bindings carry no type stubs.
 
 
+SURFACE = "surface_"  # begins the name of a surface's motor, after the prefix and before the tendon
 UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
 SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 
@@ -45,6 +49,11 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
                 f"its tendon {fit.tendon!r} has {own:g} where {fit.parameter} is {curve.slope:g}, so no curve can replace "
                 "it; have write_mjcf write the parameter, or omit the curve"
             )
+        if fit.surface is not None:
+            motor = spec.add_actuator(name=f"{prefix}{SURFACE}{fit.tendon}", target=fit.tendon)
+            motor.trntype = mujoco.mjtTrn.mjTRN_TENDON
+            motor.gainprm[0] = -1.0  # its control is the pull
+            continue
         length = 0.0 if fit.damps else rest[fit.tendon]
         pieces = curve.pieces
         for i in range(len(pieces.slope)):

@@ -20,6 +20,7 @@ from models.common.quantities import QUANTITIES, Heading
 from models.common.table import NumberTable, find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import unit_size
+from models.suspension.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
@@ -75,7 +76,7 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
     with reading(path, "curve", GIVE):
         content = path.read_bytes()
         text = table_text(path)
-        table = _of_dpr(text) if file.lower().endswith(".dpr") else _of_csv(text)
+        table = _of_dpr(text) if file.lower().endswith(".dpr") else surface_columns(text, GIVE) or _of_csv(text)
         if over and over not in table:
             raise InputError(f"has the columns {listing(table)}; give {over} and force")
     return table, origin(file, content), path

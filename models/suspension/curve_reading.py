@@ -14,7 +14,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
-from models.suspension.curve import ForceCurve
+from models.suspension.curve import ForceCurve, slope_at_rest
+from models.suspension.surface_table import surface_from
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
@@ -116,7 +117,8 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
                 f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         with error_in(f"[curves] {name}:"):
-            curves[name] = curve_of(entry, parameters[name])
+            surface = parameters[name] is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
+            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name])
     return curves
 
 
@@ -146,7 +148,7 @@ def curve_of(entry: Any, over: Argument) -> ForceCurve:
     _check_argument(x, over)
     x, force = _from_rest(x, force, over)
     lines, force, words = _as_lines(x, force, entry.get("fit_error"))
-    curve = _checked(ForceCurve(lines, force, _slope_at_rest(lines, force), words), over)
+    curve = _checked(ForceCurve(lines, force, slope_at_rest(lines, force), words), over)
     return _with_friction(curve, entry) if set(FRICTION) & set(entry) else curve
 
 
@@ -227,13 +229,6 @@ def _as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str
                 f"{MOST_LINES} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
             )
     return x[indices], force[indices], words
-
-
-def _slope_at_rest(x: Array, force: Array) -> float:
-    """Returns the mean of the slopes on both sides of rest."""
-    i = int(np.searchsorted(x, 0.0))
-    slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
-    return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())
 
 
 def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:

@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
+from models.suspension.surface import ForceSurface
 
 
 class Suspended(Protocol):
@@ -72,6 +74,17 @@ class SuspensionCurve:
         """True for a damper's curve, over velocity."""
         return self.over is VELOCITY
 
+    @property
+    def surface(self) -> ForceSurface | None:
+        """The damper's force over velocity and deflection; None if it depends on one of them."""
+        return self.curve if isinstance(self.curve, ForceSurface) else None
+
+    def beyond(self, deflection: Array, velocity: Array) -> Array:
+        """Returns the force beyond its line at deflections [m] and velocities [m/s] of the suspension [N], shape (...)."""
+        if self.surface is not None:
+            return self.surface.beyond(velocity, deflection)
+        return self.curve.pieces.force(velocity if self.damps else deflection)
+
 
 def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
     """Returns the parameters that a curve can replace, each with the curve's argument."""
@@ -81,9 +94,9 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
 
 def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
-    bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if len(placed.curve.pieces.slope)}
+    bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
     return ", ".join(
-        f"{name} {curve.slope:.4g} (elsewhere {curve.slopes.min():.4g} to {curve.slopes.max():.4g})"
+        f"{name} {curve.slope:.4g} (elsewhere {curve.slope_range[0]:.4g} to {curve.slope_range[1]:.4g})"
         for name, curve in bent.items()
     )
 

@@ -21,6 +21,7 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
 from models.suspension.bump_stops import SIDES, Place, StopPair
 from models.suspension.curve import ForceCurve
+from models.suspension.surface import ForceSurface
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")
@@ -40,10 +41,11 @@ def laden(
     shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
     if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:
         raise InputError("[payload]: this vehicle has no sprung_mass that moves vertically; omit the section")
-    springs = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
-    if springs:
+    about_rest = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
+    about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
+    if about_rest:
         raise InputError(
-            f"[payload] sinks the car, and the curve {springs[0]} is about its rest without payload; give the curve about the "
+            f"[payload] sinks the car, and the curve {about_rest[0]} is about its rest without payload; give the curve about the "
             "laden rest, and the laden mass and inertias in [parameters]"
         )
     for where, given in named.items():

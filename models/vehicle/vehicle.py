@@ -154,7 +154,7 @@ class Vehicle(ShownVehicle):
     @property
     def is_curved(self) -> bool:
         """True if a suspension has a curve that is not straight."""
-        return any(len(each.curve.pieces.slope) for each in self.fitted)
+        return any(each.curve.bent for each in self.fitted)
 
     def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).

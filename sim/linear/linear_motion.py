@@ -76,9 +76,9 @@ def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Arr
     dampers = {adjustable.force: adjustable for adjustable in vehicle.adjustable}
     places = {part.deflection: i for i, part in enumerate(vehicle.kind.suspensions)}
     for fitted in vehicle.fitted:
-        if len(fitted.curve.pieces.slope):
+        if fitted.curve.bent:
             i = places[fitted.deflection]
-            pulls[:, i] += fitted.curve.pieces.force(v[:, i] if fitted.damps else d[:, i])
+            pulls[:, i] += fitted.beyond(d[:, i], v[:, i])
     for name, stops in vehicle.stops.items():
         pulls[:, places[name]] += stops.pull(d[:, places[name]])
     for part in vehicle.kind.suspensions:

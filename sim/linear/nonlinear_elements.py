@@ -1,12 +1,11 @@
 """Nonlinear elements of a vehicle: curved dampers and springs, and adjustable dampers. The vehicle that is linear at rest.
 
-For a force f over the velocity or deflection y of a suspension, with x the states and z_r the road's heights,
+For a force f over the velocity or deflection y of a suspension, with x the states,
 
-    f = w (l y + p(y)),    y = Y x,
+    f = p(y),    y = Y x,
 
-where p is the part of a curve beyond its line (`models.suspension`). For a curve w is 1 and l is 0, as its line belongs to the
-linear model. For an adjustable damper l is 1 and w is its coefficient beyond the nominal one. Such a damper has a p if it has two
-curves (`models.suspension.damper`).
+where p is the part of a curve beyond its line (`models.suspension`), as its line belongs to the linear model. A damper's p may be
+over velocity and deflection.
 
 At rest: ideal force actuators replace adjustable dampers. A curve that is straight about rest stays: a small enough road meets
 its line alone. A line replaces a curve that bends at rest, by a kink or by friction: no road is small enough for that one.
@@ -49,31 +48,36 @@ def at_rest_words(vehicle: Vehicle) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Curves and adjustable dampers, e of them, on a linear model of n states and p outputs.
+    """Curves, e of them, on a linear model of n states and p outputs.
 
     Attributes:
-        curves: the curve of each element, or None for its line alone.
-        lines: slope l of each element, shape (e,).
+        curves: the curve of each element.
         rows, of_road: gains from states and road heights to the argument y of each force, shapes (e, n) and (e, r).
         push: gain from the pulling forces to the rates of the states, shape (n, e).
-        outputs: gain from the forces to the outputs, shape (p, e); 0 for an adjustable damper, whose force is an input.
+        outputs: gain from the forces to the outputs, shape (p, e).
+        travels, travels_of_road: gains from states and road heights to the deflection of each `ForceSurface`, shapes (s, n) and
+            (s, r).
     """
 
-    curves: "tuple[ForceCurve | None, ...]"
-    lines: Array
+    curves: "tuple[ForceCurve, ...]"
     rows: Array
     of_road: Array
     push: Array
     outputs: Array
+    travels: Array
+    travels_of_road: Array
 
 
 def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first."""
-    curved = [fitted for fitted in vehicle.fitted if len(fitted.curve.pieces.slope)]
+    curved = [fitted for fitted in vehicle.fitted if fitted.curve.bent]
     velocities = {suspension.deflection: suspension.velocity.name for suspension in vehicle.kind.suspensions}
     over = [velocities[fitted.deflection] if fitted.damps else fitted.deflection for fitted in curved]
     index = [model.outputs.index(name) for name in over]
     push, outputs = vehicle.pulls_on([fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
-    rows, lines = model.C[index], np.zeros(len(curved))
-    return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.jump, push, outputs)
+    rows = model.C[index]
+    travel = [model.outputs.index(fitted.deflection) for fitted in curved if fitted.surface is not None]
+    travels = model.C[travel], model.Cr[travel] + model.C[travel] @ model.jump
+    of_road = model.Cr[index] + rows @ model.jump
+    return Elements(tuple(fitted.curve for fitted in curved), rows, of_road, push, outputs, *travels)

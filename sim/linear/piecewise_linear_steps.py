@@ -7,20 +7,24 @@ on the states,
 
 Over a step u and z_r are held.
 
-Exact. Between two knots of its curves this is linear, and a Taylor series ends below rounding. Where a y passes a knot the step
-is cut there, at the root of its polynomial. A y that passes a knot and returns between two of `LOOKS` looks at a step is missed:
-that moves a wheel's velocity by 1e-8 of itself.
+Exact. Between two knots of its curves this is linear, and a Taylor series ends below rounding. In a cell of a damper's force over
+velocity and deflection it is a product of such series. Where a y passes a knot the step is cut there, at the root of its
+polynomial. A y that passes a knot and returns between two of `LOOKS` looks at a step is missed: that moves a wheel's velocity by
+1e-8 of itself.
 
 RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
+from models.suspension.curve import ForceCurve
+from models.suspension.surface import ForceSurface
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements, elements
 
@@ -40,33 +44,44 @@ class CurvedSteps:
             exact: True for exact steps, False for those of RK4.
         """
         self.elements = nonlinear = elements(vehicle, model)
-        self.exact, self.timestep = exact, timestep
-        self.stacked = np.ascontiguousarray(np.vstack([model.A, nonlinear.rows]).T)
-        self.n, self.push = len(model.A), np.ascontiguousarray(nonlinear.push.T)
+        self.exact, self.timestep, self.count = exact, timestep, len(nonlinear.curves)
+        # Behind the arguments of all curves are the deflections of surfaces, which push nothing by themselves.
+        self.surfaces = [i for i, one in enumerate(nonlinear.curves) if isinstance(one, ForceSurface)]
+        self.alike = _alike(nonlinear.curves)
+        self.rows = np.vstack([nonlinear.rows, nonlinear.travels])
+        self.stacked = np.ascontiguousarray(np.vstack([model.A, self.rows]).T)
+        self.arguments_of_road = np.vstack([nonlinear.of_road, nonlinear.travels_of_road]).T
+        self.n, self.push = len(model.A), np.vstack([nonlinear.push.T, np.zeros((len(self.surfaces), len(model.A)))])
         self.of_inputs, self.of_road = model.B.T, (model.A @ model.jump + model.Br).T
         self.jump = model.jump.T
         self._tabulate(nonlinear)
         steepest = np.abs(self.slopes).max(axis=1, initial=0.0)
+        for surface, i, k in self.alike:
+            steepest[i], steepest[self.count + k] = surface.steepest
         self.parts, self.order = _series(model.A, nonlinear, steepest, timestep)
         looks = np.arange(1, LOOKS + 1) / LOOKS
         self.looks = looks, looks[:, None] ** np.arange(self.order + 1)
 
     def _tabulate(self, nonlinear: Elements) -> None:
         """Stores knots and slopes of every element, shapes (e, K) and (e, K + 1), and the pieces, padded to one width."""
-        count, curves = len(nonlinear.curves), [curve for curve in nonlinear.curves if curve is not None]
-        width = max((len(curve.x) for curve in curves), default=0)
+        count, curves = self.count + len(self.surfaces), nonlinear.curves
+        knots = [one.velocities if isinstance(one, ForceSurface) else one.x for one in curves]
+        knots += [one.deflections for one in curves if isinstance(one, ForceSurface)]
+        width = max((len(x) for x in knots), default=0)
         self.knots = np.full((count, width), np.inf)
         self.low, self.high = np.full((count, width + 1), -np.inf), np.full((count, width + 1), np.inf)
-        self.slopes, self.offsets = np.tile(nonlinear.lines[:, None], width + 1), np.zeros((count, width + 1))
-        self.pieces = np.zeros((4, count, max((len(curve.pieces.slope) for curve in curves), default=0)))
-        for i, curve in enumerate(nonlinear.curves):
-            if curve is None:
-                continue
-            x, slope, force, pieces = curve.x, curve.slopes - curve.slope, curve.pieces.force(curve.x), curve.pieces
+        self.slopes, self.offsets = np.zeros((count, width + 1)), np.zeros((count, width + 1))
+        self.pieces = np.zeros((4, self.count, max((len(curve.pieces.slope) for curve in curves), default=0)))
+        for i, x in enumerate(knots):
             k = len(x)
             self.knots[i, :k] = x
             self.high[i, :k], self.low[i, 1 : k + 1] = x, x
-            self.slopes[i, : k + 1] += slope
+        for i, curve in enumerate(curves):
+            if isinstance(curve, ForceSurface):
+                continue
+            x, slope, force, pieces = curve.x, curve.slopes - curve.slope, curve.pieces.force(curve.x), curve.pieces
+            k = len(x)
+            self.slopes[i, : k + 1] = slope
             first = np.concatenate([[0], np.arange(k)])
             self.offsets[i, : k + 1] = force[first] - slope * x[first]
             self.pieces[:, i, : len(pieces.slope)] = pieces.slope, pieces.start, pieces.low, pieces.high
@@ -81,13 +96,18 @@ class CurvedSteps:
         return self._force(self.over(states, heights)) @ self.elements.outputs.T
 
     def over(self, states: Array, heights: Array) -> Array:
-        """Returns the arguments y of the forces, shape (..., e). Arguments as for `beyond`."""
-        nonlinear = self.elements
-        return (states - heights @ self.jump) @ nonlinear.rows.T + heights @ nonlinear.of_road.T
+        """Returns the arguments y of the forces, then the deflections of surfaces, shape (..., e + s). Arguments as for
+        `beyond`.
+        """
+        return (states - heights @ self.jump) @ self.rows.T + heights @ self.arguments_of_road
 
     def _force(self, y: Array) -> Array:
         slope, start, low, high = self.pieces
-        return np.minimum(np.maximum(slope * (y[..., None] - start), low), high).sum(axis=-1)  # `np.clip` takes twice as long
+        x = y[..., : self.count, None]
+        force = np.minimum(np.maximum(slope * (x - start), low), high).sum(axis=-1)  # `np.clip` takes twice as long
+        for surface, i, k in self.alike:
+            force[..., i] = surface.beyond(y[..., i], y[..., self.count + k])
+        return force
 
     def __call__(self, xi: Array, inputs: Array, heights: Array, pushed: Array | None = None) -> Array:
         """Returns xi after a step, shape (N, n).
@@ -98,7 +118,7 @@ class CurvedSteps:
             heights: held road heights [m], shape (N, r).
             pushed: contribution of held loads to xi', shape (N, n), or None.
         """
-        constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.elements.of_road.T
+        constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.arguments_of_road
         if pushed is not None:
             constant = constant + pushed
         if self.exact:
@@ -110,7 +130,7 @@ class CurvedSteps:
     def _rk4(self, xi: Array, constant: Array, offset: Array) -> Array:
         def rate(at: Array) -> Array:
             both = at @ self.stacked
-            return both[:, : self.n] + constant + self._force(both[:, self.n :] + offset) @ self.push
+            return both[:, : self.n] + constant + self._force(both[:, self.n :] + offset) @ self.push[: self.count]
 
         h = self.timestep
         k1 = rate(xi)
@@ -122,6 +142,10 @@ class CurvedSteps:
     def _exactly(self, xi: Array, constant: Array, offset: Array) -> Array:
         """Returns xi after a part of a step."""
         y = xi @ self.stacked[:, self.n :] + offset
+        for surface, i, k in self.alike:  # a table's velocity is that of its damper
+            d = y[:, self.count + k]
+            ratio, steep = surface.ratios[:, np.searchsorted(surface.deflections, d)]
+            y[:, i] *= ratio + steep * d
         where = (y[..., None] > self.knots).sum(axis=-1)
         every, length = np.arange(where.shape[1]), self.timestep / self.parts
         left, some = np.full(len(xi), length), np.arange(len(xi))
@@ -148,7 +172,7 @@ class CurvedSteps:
 
     def _expand(self, xi: Array, constant: Array, offset: Array, where: Array, length: Array) -> tuple[Array, Array]:
         """Returns Taylor series in shares of these lengths of time [s]: xi, shape (order + 1, N, n), and y, shape (order + 1, N,
-        e).
+        e + s), with the velocities of surfaces' tables among them.
         """
         every = np.arange(where.shape[1])
         slopes, offsets = self.slopes[every, where], self.offsets[every, where]
@@ -158,22 +182,72 @@ class CurvedSteps:
         rows = self.stacked[:, self.n :]
         M = self.stacked[:, : self.n] + (rows * slopes[:, None]) @ self.push
         c = constant + (slopes * offset + offsets) @ self.push
+        products = self._products(where) if self.surfaces else None
         for i in range(self.order):
             rate = (series[i, :, None] @ M)[:, 0]
+            if products is not None:
+                y = series[i] @ rows + (offset if i == 0 else 0.0)
+                rate += products.next(y[:, self.surfaces], y[:, self.count :]) @ self.push[self.surfaces]
             series[i + 1] = (rate + c if i == 0 else rate) * (step / (i + 1))
         np.matmul(series, rows, out=values)
         values[0] += offset
+        if products is not None:
+            products.next(values[-1][:, self.surfaces], values[-1, :, self.count :])
+            values[..., self.surfaces] = products.u
         return series, values
+
+    def _products(self, where: Array) -> "_Products":
+        """Returns the products of the cells that N runs are in, by their segments, shape (N, e + s)."""
+        shape = len(where), len(self.surfaces)
+        cells, ratios, lines = np.empty((4, *shape)), np.empty((2, *shape)), np.empty(shape[1])
+        for surface, i, k in self.alike:
+            column = where[:, self.count + k]
+            cells[..., k], ratios[..., k], lines[k] = (
+                surface.cells[:, where[:, i], column],
+                surface.ratios[:, column],
+                surface.slope,
+            )
+        return _Products(cells, ratios, lines, self.order)
+
+
+class _Products:
+    """Taylor series of surfaces' forces beyond their lines, from those of velocity and deflection: s of them in N runs."""
+
+    def __init__(self, cells: Array, ratios: Array, lines: Array, order: int) -> None:
+        """Takes the coefficients of a cell and of r for each, shapes (4, N, s) and (2, N, s), and the slopes of the lines."""
+        self._cells, self._ratios, self._lines, self._i = cells, ratios, lines, 0
+        self._v, self._d, self._r, self._g, self.u = np.empty((5, order + 1, *cells.shape[1:]))
+
+    def next(self, v: Array, d: Array) -> Array:
+        """Returns the next coefficients of the forces [N], from those of velocities and deflections, shape (N, s)."""
+        i, (a, b, c, e), (ratio, steep) = self._i, self._cells, self._ratios
+        self._i, first = i + 1, i == 0
+        self._v[i], self._d[i], self._r[i] = v, d, steep * d + ratio if first else steep * d
+        self.u[i] = (self._r[: i + 1] * self._v[i::-1]).sum(axis=0)
+        g = b * self.u[i] + c * d + e * (self.u[: i + 1] * self._d[i::-1]).sum(axis=0)
+        self._g[i] = g + a if first else g
+        return (self._r[: i + 1] * self._g[i::-1]).sum(axis=0) - self._lines * v
+
+
+def _alike(curves: Sequence[ForceCurve]) -> list[tuple[ForceSurface, Array, Array]]:
+    """Returns every surface with its indices among the curves, and among the surfaces."""
+    surfaces = [(i, one) for i, one in enumerate(curves) if isinstance(one, ForceSurface)]
+    groups: dict[int, list[tuple[int, int]]] = {}
+    for k, (i, one) in enumerate(surfaces):
+        groups.setdefault(id(one), []).append((i, k))
+    return [(surfaces[pairs[0][1]][1], *np.array(pairs).T) for pairs in groups.values()]
 
 
 def _series(A: Array, nonlinear: Elements, steepest: Array, timestep: float) -> tuple[int, int]:
     """Returns the number of parts of a step, and the order at which the series of a part ends below rounding.
 
     Args:
-        steepest: largest ratio of force to argument of each element, shape (e,).
+        steepest: largest ratio of force to argument of each element, then to the deflection of each surface, shape (e + s,).
         timestep: [s].
     """
-    worst = np.abs(A) + np.abs(nonlinear.push) @ (steepest[:, None] * np.abs(nonlinear.rows))
+    both = steepest[:, None] * np.abs(np.vstack([nonlinear.rows, nonlinear.travels]))
+    on = [i for i, one in enumerate(nonlinear.curves) if isinstance(one, ForceSurface)]
+    worst = np.abs(A) + np.abs(nonlinear.push[:, [*range(len(nonlinear.curves)), *on]]) @ both
     balanced = np.asarray(linalg.matrix_balance(worst, permute=False)[0])
     size = float(np.linalg.norm(balanced, 2)) * timestep
     parts = max(1, math.ceil(size / SERIES))

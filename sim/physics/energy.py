@@ -179,7 +179,10 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
     for i, fitted in enumerate(curves, dampers.stop):
         if fitted.damps:
-            power = [v * fitted.curve.pieces.force(v) for v in (speeds[:-1, i], middle[:, i], speeds[1:, i])]
+            d = lengths[:-1, i] - rest[0, 2 + 2 * i]
+            amid = d + grown[:, i] / 2 + h / 8 * (speeds[:-1, i] - speeds[1:, i])
+            at = (d, speeds[:-1, i]), (amid, middle[:, i]), (d + grown[:, i], speeds[1:, i])
+            power = [v * fitted.beyond(d, v) for d, v in at]
             in_dampers += (power[0] + 4 * power[1] + power[2]) * h / 6
         else:
             in_springs += fitted.curve.work(lengths[:, i] - rest[0, 2 + 2 * i])
@@ -268,7 +271,7 @@ def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
-    bent = any(len(fitted.curve.pieces.slope) for fitted in vehicle.fitted)
+    bent = any(fitted.curve.bent for fitted in vehicle.fitted)
     bent = bent or any(one.damper.pair is not None for one in vehicle.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
@@ -21,6 +20,7 @@ from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
 from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
+from sim.physics.surface_steps import batch_of
 from synth.controller.controller import Controller, code_of
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
@@ -245,9 +245,7 @@ class _Loop:
         """Yields the blocks of some of the runs."""
         course, readout, vehicles, stage, fresh = self.course, self.readout, self.vehicles[runs], self.stage, self.fresh
         count = len(vehicles)
-        batch = Batch(self.model, count, 1)
-        if self.models:
-            batch.set_models([self.models[self.hardware[id(one)]] for one in vehicles])
+        batch = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
         actuators = Actuators(vehicles, readout)
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)

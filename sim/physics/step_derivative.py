@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics.sensor_readout import prepared
+from sim.physics.surface_steps import batch_of
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
 SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ
@@ -56,7 +56,7 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
     model, readout = prepared(vehicle, timestep)
     n, m = model.nq + model.nv + model.na, len(vehicle.linear_model.inputs)
     sizes = np.concatenate([np.full(model.nq + model.nv, MOTION), np.full(model.na + m, FORCE)])
-    batch = Batch(model, 2 * len(sizes) + 1, 1)
+    batch = batch_of(model, [vehicle] * (2 * len(sizes) + 1))
     parts = [batch.bind(name) for name in ("qpos", "qvel", "act")]
     away = np.concatenate([np.diag(sizes), -np.diag(sizes), np.zeros((1, n + m))])
     ends = np.cumsum([0, *(part.shape[1] for part in parts)])

@@ -32,15 +32,19 @@ class Threshold:
         sign: sign of the side with the limit; 0 for both.
         value: limit of sign * signal, or of its magnitude [the signal's unit].
         tyre: velocities that count, in addition to the deflection, for a tyre that damps; None for the signal alone.
+        damper: a damper over velocity, the signal, and deflection, whose force beyond its line counts [N]; None for the signal.
     """
 
     signal: str
     sign: float
     value: float
     tyre: DampedTyre | None = None
+    damper: "SuspensionCurve | None" = None
 
     def of(self, response: Response) -> Array:
-        """Returns the signal of a response, or the equivalent deflection of a tyre that damps."""
+        """Returns the signal of a response, the equivalent deflection of a tyre, or the force beyond a damper's line."""
+        if self.damper is not None:
+            return self.damper.beyond(response[self.damper.deflection], response[self.signal])
         if self.tyre is None:
             return response[self.signal]
         return response[self.signal] + self.tyre.time * (response[self.tyre.hub] - response[self.tyre.road])
@@ -111,9 +115,12 @@ def over(vehicle: Vehicle, fitted: "SuspensionCurve") -> str:
 
 
 def _off_the_line(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which curves leave their lines at rest, one to each side."""
+    """Returns thresholds at which curves leave their lines at rest: one to each side, or one of the force."""
     thresholds = []
     for fitted in vehicle.fitted:
+        if fitted.surface is not None:
+            thresholds.append(Threshold(over(vehicle, fitted), 0.0, LEAVES * fitted.curve.range, damper=fitted))
+            continue
         low, high = fitted.curve.left_at
         thresholds += [Threshold(over(vehicle, fitted), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
     return thresholds
@@ -125,7 +132,8 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.fitted:
-        apart = np.abs(fitted.curve.pieces.force(response[over(vehicle, fitted)])).max(initial=0.0) / fitted.curve.range
+        d, v = response[fitted.deflection], response[over(vehicle, fitted)]
+        apart = np.abs(fitted.beyond(d, v)).max(initial=0.0) / fitted.curve.range
         shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
     return shares
 
@@ -261,7 +269,7 @@ class EndDetector:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
-        # (end, threshold of the first run, its signal, the value of every run, what counts beside the signal)
+        # (end, threshold of the first run, its signal, the value of every run, what the limit is on)
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
@@ -270,7 +278,7 @@ class EndDetector:
                 limits[0],
                 names.index(limits[0].signal),
                 AT * np.array([limit.value for limit in limits]),
-                self._beside(limits, names),
+                self._reader(limits, names),
             )
             for end in range(len(REGIME_ENDS))
             for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
@@ -293,12 +301,8 @@ class EndDetector:
 
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
-        for end, threshold, signal, limit, tyre in self.limits:
-            at = values[:, signal]
-            if tyre is not None:
-                hub, road, times = tyre
-                at = at + times * (values[:, hub] - values[:, road])
-            towards = threshold.towards(at)
+        for end, threshold, signal, limit, read in self.limits:
+            towards = threshold.towards(read(values))
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
             self._note(end, start, towards >= limit)
@@ -308,14 +312,18 @@ class EndDetector:
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
 
     @staticmethod
-    def _beside(limits: Sequence[Threshold], names: Sequence[str]) -> tuple[int, int, Array] | None:
-        """Returns indices of hub and road velocity, and c / k of every run [s], if the tyre damps in any; else None."""
-        tyres = [limit.tyre for limit in limits]
+    def _reader(limits: Sequence[Threshold], names: Sequence[str]) -> Callable[[Array], Array]:
+        """Returns a function from a block of signals to what the limits of N runs are on, shape (B, N); see `Threshold.of`."""
+        signal, tyres = names.index(limits[0].signal), [limit.tyre for limit in limits]
+        if dampers := [limit.damper for limit in limits if limit.damper is not None]:
+            d, each = names.index(dampers[0].deflection), list(enumerate(dampers))
+            return lambda values: np.stack([one.beyond(values[:, d, i], values[:, signal, i]) for i, one in each], axis=-1)
         first = next((tyre for tyre in tyres if tyre is not None), None)
         if first is None:
-            return None
-        times = np.array([0.0 if tyre is None else tyre.time for tyre in tyres])
-        return names.index(first.hub), names.index(first.road), times
+            return lambda values: values[:, signal]
+        hub, road = names.index(first.hub), names.index(first.road)
+        times = np.array([0.0 if tyre is None else tyre.time for tyre in tyres])  # c / k of every run [s]
+        return lambda values: values[:, signal] + times * (values[:, hub] - values[:, road])
 
     def _note(self, end: int, start: int, beyond: Array) -> None:
         """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""

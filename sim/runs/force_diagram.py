@@ -90,13 +90,17 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
     pushed = damper and actuator in vehicle.linear_model.inputs
     words = signal.name.replace("_", " ")
     what, ending = "damper" if damper else "spring", _ending(one.deflection)
+
+    def pull(x: Array, response: Response) -> Array:
+        return one.curve(x) if one.surface is None else one.surface.along(x, response[one.deflection])
+
     return Diagram(
         f"{one.parameter.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
         _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
         _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
         lambda response: response[signal.name],
-        lambda x, response: one.curve(x) - (one.ratio * response[actuator] if pushed else 0.0),
+        lambda x, response: pull(x, response) - (one.ratio * response[actuator] if pushed else 0.0),
         (
             _line(what, ending, "curve", "solid", 1.8, one.curve),
             _line(what, ending, "line at rest", "dash", 1.0, lambda x: one.curve.slope * x),

@@ -142,7 +142,6 @@ def remainder(
         lines: slopes of the lines, shape (e,).
         resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
     """
-    curves = [curve for curve in pulls.curves if curve is not None]
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
     omega = highest / COUNT * np.arange(COUNT + 1)
     omega[0] = 1e-3 * omega[1]
@@ -152,7 +151,7 @@ def remainder(
     to_force = responses[..., wheels:]
     inputs = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
     of_road = math.sqrt(road.density) * responses[..., :wheels] @ inputs
-    identity, memory, noise = np.eye(len(curves)), np.zeros_like(to_force), np.zeros_like(to_force)
+    identity, memory, noise = np.eye(len(pulls.curves)), np.zeros_like(to_force), np.zeros_like(to_force)
     for rounds in range(1, MEMORY_ROUNDS + 1):
         closed = np.linalg.inv(identity - to_force @ memory)
         by_road, by_force = closed @ of_road, closed @ to_force
@@ -164,8 +163,8 @@ def remainder(
         rho = covariance / np.outer(deviations, deviations)
         back = np.fft.irfft(by_force, axis=0) / dt
         answer = np.concatenate([back[:1], back[1:COUNT] + back[:COUNT:-1], np.zeros_like(back[COUNT:])])
-        moments = [averages(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
-        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)])
+        moments = [averages(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)]
+        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)])
         force, slopes, of_noise = _second_order(rho, answer * dt, hermite, deviations)
         beyond = force + [mean for mean, _ in moments] - lines * means
         shifted = resting(beyond)
@@ -269,19 +268,24 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     """
     if not vehicle.is_curved:
         return Equivalent(vehicle)
-    curves = [one for one in vehicle.fitted if len(one.curve.pieces.slope)]
-    signals, names = [over(vehicle, one) for one in curves], [one.parameter for one in curves]
+    placed = [one for one in vehicle.fitted if one.curve.bent]
+    signals, names = [over(vehicle, one) for one in placed], [one.parameter for one in placed]
+    curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     pulls = elements(vehicle, vehicle.linear_model)
-    slopes, means = np.array([one.curve.slope for one in curves]), np.zeros(len(curves))
-    squares = {one.parameter: one.ratio**2 for one in curves}
+    slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
+    squares = {one.parameter: one.ratio**2 for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
         of_elements = {name: slope / squares[name] for name, slope in shared.items()}
         linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
         if LoopModel(linear, controller, timestep).radius >= 1:
             return None
-        deviations = _deviations(linear, controller, road, timestep, signals)
-        moments = [averages(one.curve, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
+        deviations, spreads = np.split(_deviations(linear, controller, road, timestep, signals + travels), [len(signals)])
+        if travels:
+            at = {name: (outputs.get(name, 0.0), float(spread)) for name, spread in zip(travels, spreads, strict=True)}
+            curves = [one.curve if one.surface is None else one.surface.mean(*at[one.deflection]) for one in placed]
+            pulls = replace(pulls, curves=tuple(curves))
+        moments = [averages(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
         of_line = np.array([shared[name] for name in names])
         outputs = _mean_outputs(linear, controller, pulls, np.array([force for force, _ in moments]) - of_line * means)
         new_slopes, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
@@ -321,9 +325,11 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     record, usual = line_object(vehicle, line), vehicle.parameters
     slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
     slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
+    tabled = any(one.surface is not None for one in vehicle.fitted)
+    note = " A damper over velocity and deflection has its mean force over the distribution of the deflection." * tabled
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. Lines "
-        f"fit the characteristics over this road: {'; '.join(slopes)}.",
+        f"fit the characteristics over this road: {'; '.join(slopes)}.{note}",
         "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. With friction, rms and dynamic "
         "load are exact to 4 %; vdv is up to 10 % too high, crest 35 %. If wheels leave the road, vdv is up to 8 % too high; "
         "crest, travel and forces up to 15 %, or 20 % with wheels in the air for a fifth of the time.",
@@ -332,7 +338,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
 
 def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
     """Returns the equivalent line for JSON, in SI units."""
-    names = dict.fromkeys(one.parameter for one in vehicle.fitted if len(one.curve.pieces.slope))
+    names = dict.fromkeys(one.parameter for one in vehicle.fitted if one.curve.bent)
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
         "slopes": {name: line.vehicle.parameters[name] for name in names},

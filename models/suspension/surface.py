@@ -1,0 +1,133 @@
+"""A damper's force over velocity v and deflection d, as a table that is bilinear between its points.
+
+Both arguments are positive in extension, as in `models.suspension.curve`. Beyond its velocities the table continues with its last
+slopes; beyond its deflections it keeps its last column. With a ratio r of damper travel to suspension travel at each deflection,
+straight between these, the force along the suspension is
+
+    F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
+
+Linear analysis uses the slope over velocity at rest, v = 0 and d = 0.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.suspension.curve import STRAIGHT, ForceCurve, slope_at_rest
+
+NODES, WIDTH = 400, 6.0  # of the mean over a Gaussian deflection, and its half width in standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class ForceSurface(ForceCurve):
+    """Force over velocity and deflection; as a `ForceCurve`, its section at deflection 0.
+
+    Attributes:
+        velocities: velocities u of the table [m/s], ascending, with 0 among the inner ones, shape (n,).
+        deflections: deflections of the table [m], ascending, shape (k,).
+        table: G at these [N], 0 at velocity 0, shape (n, k).
+        ratio: r at the deflections, above 0, shape (k,).
+        base: the surface of which it is a multiple; None for itself.
+    """
+
+    velocities: Array = field(kw_only=True)
+    deflections: Array = field(kw_only=True)
+    table: Array = field(kw_only=True)
+    ratio: Array = field(kw_only=True)
+    base: "ForceSurface | None" = field(default=None, kw_only=True)
+
+    def along(self, velocity: Array, deflection: Array) -> Array:
+        """Returns F at velocities and deflections of the suspension [N], shape (...)."""
+        j = np.searchsorted(self.deflections, deflection)
+        constant, steep = self.ratios[:, j]
+        r = constant + steep * deflection
+        u = r * velocity
+        a, b, c, e = self.cells[:, np.searchsorted(self.velocities, u), j]
+        return r * (a + b * u + (c + e * u) * deflection)
+
+    def beyond(self, velocity: Array, deflection: Array) -> Array:
+        """Returns the deviation of F from its line [N], shape (...)."""
+        return self.along(velocity, deflection) - self.slope * np.asarray(velocity)
+
+    def scaled(self, factor: float) -> "ForceSurface":
+        """See `ForceCurve.scaled`."""
+        table, force = factor * self.table, factor * self.force
+        multiple = replace(self, force=force, slope=factor * self.slope, table=table, base=self.base or self)
+        return self if factor == 1 else multiple
+
+    def at_wheel(self, ratio: float) -> "ForceSurface":
+        """See `ForceCurve.at_wheel`."""
+        own = ("velocities", "deflections", "x")
+        parts = {name: getattr(self, name) / ratio for name in own} | {
+            name: ratio * getattr(self, name) for name in ("table", "force")
+        }
+        base = None if self.base is None else self.base.at_wheel(ratio)
+        return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, base=base, **parts)
+
+    def mean(self, centre: float, deviation: float) -> ForceCurve:
+        """Returns the mean of F over Gaussian deflections [m], which velocities do not depend on, at the table's velocities."""
+        z = WIDTH * np.linspace(-1.0, 1.0, NODES) if deviation else np.zeros(1)
+        weight = np.exp(-(z**2) / 2)
+        x = self.velocities / np.interp(centre, self.deflections, self.ratio)
+        force = self.along(x[:, None], centre + deviation * z) @ (weight / weight.sum())
+        return ForceCurve(x, force, slope_at_rest(x, force), self.words)
+
+    @property
+    def bent(self) -> bool:
+        """See `ForceCurve.bent`."""
+        v, d = np.meshgrid(self.velocities, self.deflections)
+        return bool((np.abs(self.beyond(v, d)) > STRAIGHT * self.range).any())
+
+    @property
+    def slope_range(self) -> tuple[float, float]:
+        """See `ForceCurve.slope_range`."""
+        steep = np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None] * self.ratio**2
+        return float(steep.min()), float(steep.max())
+
+    @property
+    def range(self) -> float:
+        """See `ForceCurve.range`."""
+        return float(np.abs(self.ratio * self.table).max())
+
+    @cached_property
+    def cells(self) -> Array:
+        """The coefficients a, b, c and e of every cell, shape (4, n + 1, k + 1), with those beyond the table."""
+        u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
+        slope = np.vstack([slope[:1], slope, slope[-1:]])
+        first = np.concatenate([[0], np.arange(len(u))])  # the point from which each row of cells is measured
+        ends = np.stack([self.table[first] - slope * u[first, None], slope])  # a + c d and b + e d at the deflections
+        return np.concatenate(_lines(d, ends))
+
+    @cached_property
+    def ratios(self) -> Array:
+        """The constant and the slope of r between deflections and beyond, shape (2, k + 1)."""
+        return np.stack(_lines(self.deflections, self.ratio))
+
+    @cached_property
+    def steepest(self) -> tuple[float, float]:
+        """Bounds of the slopes of F - slope v over velocity [N s/m] and deflection [N/m], within the table's velocities."""
+        over_v = np.abs(np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]).max()
+        over_d = np.abs(np.diff(self.table) / np.diff(self.deflections)).max()
+        r, turn, u = self.ratio.max(), np.abs(self.ratios[1]).max(), np.abs(self.velocities).max()
+        return float(r**2 * over_v + self.slope), float(r * over_d + turn * (np.abs(self.table).max() + over_v * u))
+
+
+def _lines(d: Array, values: Array) -> tuple[Array, Array]:
+    """Returns constants and slopes of the lines between the values at d, shape (..., k), which end flat; shapes (..., k + 1)."""
+    flat = np.zeros_like(values[..., :1])
+    slope = np.concatenate([flat, np.diff(values) / np.diff(d), flat], axis=-1)
+    first = np.concatenate([[0], np.arange(len(d))])
+    return values[..., first] - slope * d[first], slope
+
+
+def surface_of(velocities: Array, deflections: Array, table: Array, words: str, ratio: Array | None = None) -> ForceSurface:
+    """Returns a surface with its section at deflection 0; see `ForceSurface`. Without a ratio r is 1."""
+    r = np.ones(len(deflections)) if ratio is None else ratio
+    at_rest = float(np.interp(0.0, deflections, r))
+    x = velocities / at_rest
+    force = at_rest * np.array([np.interp(0.0, deflections, row) for row in table])
+    return ForceSurface(
+        x, force, slope_at_rest(x, force), words, velocities=velocities, deflections=deflections, table=table, ratio=r
+    )

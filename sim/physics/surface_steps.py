@@ -1,0 +1,113 @@
+"""Steps of MuJoCo for vehicles with dampers over velocity and deflection, of which MuJoCo has no product.
+
+`Batch` runs no callbacks in Python. So each stage of RK4 is two evaluations here: positions and velocities, of which the table
+gives the damper's force, and then the accelerations under that force, which a motor on the suspension's tendon pulls with. The
+sum of the stages is that of `mj_RungeKutta`. All other forces are MuJoCo's.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+from models.suspension.curve_actuators import SURFACE
+from models.vehicle.mjcf import FITTED
+from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import SHARES, WEIGHTS
+
+AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
+AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
+
+
+def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
+    """Returns a batch of N runs on one thread, each of its own model if there are several."""
+    tabled = any(one.surface is not None for one in vehicles[0].fitted)
+    batch = SurfaceBatch(model, vehicles, models) if tabled else Batch(model, len(vehicles), 1)
+    if models:
+        batch.set_models(models)
+    return batch
+
+
+class SurfaceBatch(Batch):
+    """Batch of N vehicles with surfaces at the same places."""
+
+    def __init__(self, model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel]) -> None:
+        """Prepares the runs; `models` has one of each, or none if all share one."""
+        super().__init__(model, len(vehicles), 1, persistent=True)  # an evaluation keeps the sensors of the one before
+        # The later stages of a step are evaluated apart, so that the sensors stay those of its beginning, as after `mj_step`.
+        self._stages = Batch(model, len(vehicles), 1)
+        without = [copy.copy(one) for one in models or [model]]
+        for one in without:
+            one.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._stages.set_models(without if models else without[0])
+        self._places = [_Place(model, vehicles, i) for i, one in enumerate(vehicles[0].fitted) if one.surface is not None]
+        self._rest = np.array([one.tendon_length0 for one in models or [model]])
+        self._h = float(model.opt.timestep)
+        for batch in (self, self._stages):  # an evaluation fills only what was bound before
+            for name in ("qacc", "act_dot", "ten_length", "ten_velocity"):
+                batch.bind(name)
+
+    def forward(self, ids: Any = None, stage: int = AT_ACCELERATIONS) -> None:
+        """See `Batch.forward`."""
+        if stage > AT_VELOCITIES:
+            self._pull(self)
+        super().forward(ids, stage)
+
+    def step(self, ids: Any = None, nstep: int = 1, stage: int = 0) -> None:
+        """See `Batch.step`; one step of all runs."""
+        names = ("qpos", "qvel", "act")
+        start = [np.array(self.bind(name)) for name in names]
+        self.forward()
+        rates = [start[1], np.array(self.bind("qacc")), np.array(self.bind("act_dot"))]
+        total = [weight * one for weight, one in zip(WEIGHTS[:1] * len(rates), rates, strict=True)]
+        self._stages.state[:] = self.state
+        moving = [self._stages.bind(name) for name in names]
+        for share, weight in zip(SHARES[1:], WEIGHTS[1:], strict=True):
+            for now, begin, rate in zip(moving, start, rates, strict=True):
+                now[...] = begin + self._h * (share * rate)
+            self._pull(self._stages)
+            self._stages.forward()
+            rates = [np.array(moving[1]), self._stages.bind("qacc"), self._stages.bind("act_dot")]
+            total = [one + weight * rate for one, rate in zip(total, rates, strict=True)]
+        for name, begin, one in zip(names, start, total, strict=True):
+            self.bind(name)[...] = begin + self._h * one
+        self.bind("time")[...] += self._h
+        if stage:
+            self.forward(stage=stage)
+
+    def _pull(self, batch: Batch) -> None:
+        """Sets the controls of the surfaces' motors for the present state."""
+        Batch.forward(batch, stage=AT_VELOCITIES)
+        lengths, speeds, controls = batch.bind("ten_length"), batch.bind("ten_velocity"), batch.bind("ctrl")
+        for place in self._places:
+            i = place.tendon
+            controls[:, place.motor] = place.pulls(speeds[:, i], lengths[:, i] - self._rest[:, i])
+
+
+class _Place:
+    """Surfaces of N vehicles at one place. Multiples of one table are evaluated together."""
+
+    def __init__(self, model: mujoco.MjModel, vehicles: Sequence[Vehicle], number: int) -> None:
+        """Finds the surfaces that are this one of the fitted curves."""
+        fitted = [vehicle.fitted[number] for vehicle in vehicles]
+        self.tendon = int(model.tendon(fitted[0].tendon).id)
+        self.motor = int(model.actuator(f"{FITTED}{SURFACE}{fitted[0].tendon}").id)
+        surfaces = [one.surface for one in fitted if one.surface is not None]
+        bases = {id(one.base or one): one.base or one for one in surfaces}
+        of = np.array([id(one.base or one) for one in surfaces])
+        factors = np.array([one.slope / one.base.slope if one.base else 1.0 for one in surfaces])
+        self.groups = [(base, np.flatnonzero(of == key), factors[of == key]) for key, base in bases.items()]
+
+    def pulls(self, velocity: Array, deflection: Array) -> Array:
+        """Returns the forces beyond their lines [N], shape (N,)."""
+        pulls = np.empty(len(velocity))
+        for base, runs, factors in self.groups:
+            pulls[runs] = factors * base.beyond(velocity[runs], deflection[runs])
+        return pulls
