@@ -79,12 +79,13 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         u, force = np.insert(u, i, 0.0), np.insert(force, i, np.interp(0.0, u, force))
     force = np.where(np.abs(force) <= ROUNDING * np.abs(force).max(), 0.0, force)[u >= 0]
     u = u[u >= 0]
-    pushing = np.flatnonzero(force)
-    if not len(pushing):
+    for i in np.flatnonzero(force < 0)[:1].tolist():
+        raise InputError(f"its table pulls with {-force[i]:.6g} N at {u[i]:g} m; give forces that push back")
+    if not force.any():
         if stroke is None:
             return None
         raise InputError("its table has no force on this side; give it over the compression of the stop")
-    first = int(pushing[0]) - 1
+    first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
             f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point of contact before; "
@@ -92,9 +93,9 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         )
     if stroke is not None and u[first]:
         raise InputError(f"its table has a gap of {u[first]:g} m, and suspension_stroke is {stroke:g} m; omit one of them")
+    if force[-1] < force[-2]:
+        raise InputError(f"its force falls to {force[-1]:.6g} N at its end, as it goes on from there; end flat or rising")
     gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
-    if force.min() < 0 or force[-1] < force[-2]:
-        raise InputError("its force falls below 0, or at its end; give forces that push back, and end flat or rising")
     cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
     return Stop(gap if stroke is None else stroke, cut)
 

@@ -131,13 +131,14 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     if not known and {*roles} & ({*ARGUMENTS} - {wanted}):
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
-    if not sheet and not any(one.direction or wanted in one.words for one in headings):
+    told = {wanted, "compression"} if over == "compression" else {wanted}
+    if not sheet and not any(one.direction or told & one.words for one in headings):
         asked = next((one for one, role in zip(headings, roles, strict=True) if role != "force"), headings[0])
         raise InputError(
             f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
             f"above it ({wanted} is positive in extension)"
         )
-    known = [one for one in known if one.direction or wanted in one.words] or known
+    known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give two, {over or wanted} and force")
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]

@@ -267,9 +267,10 @@ def _points(given: Any, name: str) -> Array:
 
 def _check_both_sides(x: Array, over: Argument) -> None:
     if not x[0] < 0 < x[-1]:
+        free = ", or preload = true for a table that begins at the free length" if over is DEFLECTION else ""
         raise InputError(
-            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
-            "compressed, above 0 where it extends"
+            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; give both sides of rest: below 0 where the "
+            f"suspension is compressed, above 0 where it extends{free}"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
@@ -335,7 +336,7 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
             "its slope at rest is not above 0, and so it holds nothing up; give forces that rise with deflection, both positive "
-            "where the suspension stretches"
+            "where the suspension stretches, or add the spring to a stop, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:

@@ -1,7 +1,7 @@
 """Sections of a vehicle file: `[performance]`, and rare ones, whose readers are loaded only if the file has them."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -201,17 +201,14 @@ def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str
     return {name: -parameters[name] * float(model.rows([at])[0][0] @ rest) for name, at in springs.items()}
 
 
-def curve_notes(curves: Mapping[str, "ForceCurve"], loads: Callable[[], Mapping[str, float]]) -> list[str]:
-    """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them.
-
-    Args:
-        loads: function that returns the static loads of the springs.
-    """
+def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
+    """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
     for name, curve in curves.items():
-        carried, load = -curve.at_rest, loads().get(name) if curve.at_rest else None
+        carried, load = -curve.at_rest, loads.get(name)
         notes += [f"{name}: {curve.note}"] if curve.note else []
-        if load is not None and abs(carried - load) > CARRIED * load:
+        if carried and load is not None and abs(carried - load) > CARRIED * load:
             notes.append(
                 f"{name}: its table carries {carried:.4g} N at rest, and the static load is {load:.4g} N, a difference of "
                 f"{load - carried:+.4g} N; preload = true begins where the table carries the static load"
