@@ -52,12 +52,16 @@ class ForceCurve:
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of its line in linear analysis [N s/m or N/m].
         words: description of the curve, a phrase.
+        at_rest: force of its table at rest, which is not part of the curve [N].
+        note: remark of its table, a phrase.
     """
 
     x: Array
     force: Array
     slope: float
     words: str
+    at_rest: float = 0.0
+    note: str = ""
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""

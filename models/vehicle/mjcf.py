@@ -125,7 +125,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Writes bump stops, largest force and lag into every suspension and actuator.
 
     A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; if bump and rebound differ,
-    each is a spring of its own, slack to the other side.
+    each is a spring of its own, slack to the other side. A stop with a table is the pieces of its curve.
     """
     limits, stops = vehicle.limits, vehicle.stops
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
@@ -137,6 +137,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                 f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
                 "[limits] suspension_stroke is to stop; add what is missing, or omit the stroke"
             )
+        from models.suspension.curve_actuators import add_pieces
+
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
@@ -149,6 +151,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                         stop.wrap_joint(wrap.target.name, wrap.coef)
                     else:
                         stop.wrap_site(wrap.target.name)
+            for name, pieces in by_tendon[tendon.name].pieces.items():
+                add_pieces(spec, f"{FITTED}{name}_{tendon.name}", tendon.name, pieces, rest)
     for actuator in spec.actuators:
         if actuator.name.startswith(FITTED):
             continue

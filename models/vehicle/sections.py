@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from models.common.checks import check_keys, flag_within, is_finite, number_within
 from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number
+from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 PUSHING = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+CARRIED = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     Raises:
         InputError: the text is not TOML, or one of these files is missing or wrong.
     """
-    if not re.search(r"\bfamily\b|\bfile\b[\"']?\s*[=\]]", text):
+    if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
     from models.vehicle.in_place import with_contents
 
@@ -179,8 +182,41 @@ def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[d
     from models.suspension.curve_reading import read_curves
     from models.suspension.fitted_curves import curvable, with_slopes
 
-    curves = read_curves(data["curves"], curvable(kind.suspensions))
+    over = curvable(kind.suspensions)
+    anything = {name: 1.0 for name in data["curves"] if name in over}  # the loads do not depend on it
+    curves = read_curves(
+        data["curves"], over, lambda name: static_loads(kind, kind.check({**data["parameters"], **anything})).get(name)
+    )
     return curves, kind.check(with_slopes(data["parameters"], curves))
+
+
+def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Returns the body's weight on a spring [N], by the spring's parameter; empty for a body that does not move vertically."""
+    model = kind.whole_model(parameters)
+    if HEAVE_LOAD.name not in model.loads or "sprung_mass" not in parameters:
+        return {}
+    weight = parameters["sprung_mass"] * GRAVITY * model.Bl[:, model.loads.index(HEAVE_LOAD.name)]
+    rest = np.linalg.solve(model.A, weight)
+    springs = {part.stiffness: part for part in kind.suspensions if part.stiffness}
+    travel = {
+        name: one.motion_ratio(parameters) * float(model.rows([one.deflection])[0][0] @ rest) for name, one in springs.items()
+    }
+    return {name: -parameters[name] * stretched for name, stretched in travel.items()}
+
+
+def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
+    """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
+    notes = []
+    for name, curve in curves.items():
+        carried, load = -curve.at_rest, loads.get(name)
+        notes += [f"{name}: {curve.note}"] if curve.note else []
+        if carried and load is not None and abs(carried - load) > CARRIED * load:
+            notes.append(
+                f"{name}: its table carries {carried:.4g} N at rest, and the static load is {load:.4g} N, a difference of "
+                f"{load - carried:+.4g} N; preload = true begins where the table carries the static load"
+            )
+    return notes
 
 
 def dampers_of(

@@ -17,10 +17,18 @@ from models.kinds.kind import HERE, ShownVehicle, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
-from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
+from models.vehicle.limits_and_implementation import (
+    Implementation,
+    Limits,
+    check_period,
+    read_implementation,
+    read_limits,
+    unit_doubts,
+)
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
+    curve_notes,
     curves_and_parameters,
     dampers_of,
     in_si_units,
@@ -411,6 +419,14 @@ class Vehicle(ShownVehicle):
         _ = sound.adjustable  # these parameters, too, must go with its dampers
         filters = {signal: kept for signal, kept in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
+
+    @property
+    def doubts(self) -> list[str]:
+        """Questions about numbers that are probably not in SI units, and remarks on its curves."""
+        return [
+            *unit_doubts(self.kind.at_wheels(self.parameters), self.limits),
+            *curve_notes(self.curves, self.kind, self.parameters),
+        ]
 
     @property
     def controller_names(self) -> tuple[str, ...]:
