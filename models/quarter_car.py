@@ -102,6 +102,11 @@ def static_tyre_deflection(p: Parameters) -> dict[str, float]:
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
 
 
+def static_loads(p: Parameters) -> dict[str, float]:
+    """Returns the weight on the suspension [N]."""
+    return {signals.SUSPENSION_DEFLECTION.name: p["sprung_mass"] * GRAVITY}
+
+
 def write_mjcf(spec: Any, p: Parameters) -> None:
     """Writes the parameters into the MjSpec of `quarter_car.xml`.
 
@@ -189,6 +194,7 @@ KIND = VehicleKind(
     linear_model=linear_model,
     static_tyre_deflection=static_tyre_deflection,
     write_mjcf=write_mjcf,
+    static_loads=static_loads,
     invariants=INVARIANTS,
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),

@@ -24,6 +24,7 @@ from models.kinds.signals import (
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
+    from models.suspension.motion_ratio import RatioTable
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; parameters beyond these are mistakes, and rounding would decide
 
@@ -133,6 +134,11 @@ def anything(p: Parameters) -> None:
 def no_wheel_loads(p: Parameters) -> "tuple[BodyLoad, ...]":
     """Returns no loads."""
     return ()
+
+
+def no_loads(p: Parameters) -> Mapping[str, float]:
+    """Returns no loads by name."""
+    return {}
 
 
 def nothing_carried(p: Parameters, way: str, force: float, acceleration: float) -> Mapping[str, float]:
@@ -285,6 +291,8 @@ class VehicleKind(Checked):
             `roll_angle` likewise.
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
             compared with the linear model alone.
+        static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
+        ratios: motion ratios that change with travel, by parameter, in the kind of a vehicle that has some.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -306,6 +314,8 @@ class VehicleKind(Checked):
     carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = nothing_carried
     angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = no_angles
     motion: Callable[[Parameters], "Motion"] | None = None
+    static_loads: Callable[[Parameters], Mapping[str, float]] = no_loads
+    ratios: "Mapping[str, RatioTable]" = field(default_factory=dict)
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -343,18 +353,24 @@ class VehicleKind(Checked):
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
     def at_wheels(self, parameters: Parameters) -> Parameters:
-        """Returns the parameters with k r^2 and c r^2 for springs and dampers of motion ratio r, and ratios of 1."""
-        ratios = {part.ratio: ratio for part in self.suspensions if (ratio := part.motion_ratio(parameters)) != 1}
-        if not ratios:
+        """Returns the parameters with the rates of springs and dampers at the wheel, k r^2 and c r^2 at a motion ratio r.
+
+        A ratio that changes with travel turns the preload: of its springs that is part of the rate. The ratios are then 1, or
+        are left out if they are tables.
+        """
+        parts = [part for part in self.suspensions if part.ratio in parameters]
+        parts = [part for part in parts if parameters[part.ratio] != 1 or part.ratio in self.ratios]
+        if not parts:
             return parameters
-        rates = {
-            name: parameters[name] * ratios[part.ratio] ** 2
-            for part in self.suspensions
-            if part.ratio in ratios
-            for name in (part.stiffness, part.damping)
-            if name in parameters
-        }
-        return {**parameters, **rates, **dict.fromkeys(ratios, 1.0)}
+        rates, loads = dict(parameters), self.static_loads(parameters) if self.ratios else {}
+        for part in parts:
+            for name in (part.stiffness, part.damping):
+                if name in parameters:
+                    rates[name] = parameters[name] * parameters[part.ratio] ** 2
+            if part.ratio in self.ratios and part.stiffness in parameters:
+                rates[part.stiffness] -= self.ratios[part.ratio].turn * loads[part.deflection]
+        rates |= dict.fromkeys((part.ratio for part in parts), 1.0)
+        return {name: rate for name, rate in rates.items() if name not in self.ratios}
 
     def _at_ratios(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model of the kind with its elements at their motion ratios."""
@@ -470,7 +486,14 @@ class VehicleKind(Checked):
             InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
         """
         checked = self.check_each(parameters)
-        self.check_together(self.at_wheels(checked))
+        at_wheels = self.at_wheels(checked)
+        for part in self.suspensions if self.ratios else ():
+            if at_wheels.get(part.stiffness, 0.0) < 0:
+                raise InputError(
+                    f"{part.ratio} turns the preload so much that the spring's rate at the wheel is "
+                    f"{at_wheels[part.stiffness]:.4g} N/m; give a stiffer spring, or a ratio that changes less with travel"
+                )
+        self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze > MOST_SQUEEZE:
                 raise InputError(

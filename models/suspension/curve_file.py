@@ -21,7 +21,7 @@ from models.common.quantities import QUANTITIES, Heading
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import unit_size
-from models.suspension import STOP, STOP_NAMES
+from models.suspension import RATIO, STOP, STOP_NAMES
 from models.suspension.measured_loop import mean_of_loop
 from models.suspension.surface_table import surface_columns
 
@@ -88,11 +88,13 @@ def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _argument(path: tuple[str, ...]) -> str:
-    """Returns the quantity over which an entry's force is; empty for a parameter of an own name."""
+    """Returns the quantity over which an entry's force is, or "ratio"; empty for a parameter of an own name."""
     if path[0] == "limits":
         return "compression"
     if path[0] == "actuators" or "damping" in path[-1]:
         return "velocity"
+    if "motion_ratio" in path[-1]:
+        return RATIO
     return "deflection" if "stiffness" in path[-1] else ""
 
 
@@ -107,9 +109,13 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
         text = table_text(file)
-        table = _of_dpr(text) if name.lower().endswith(".dpr") else surface_columns(text, GIVE) or _of_columns(text, over)
+        if name.lower().endswith(".dpr"):
+            table = _of_dpr(text)
+        else:
+            table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
         if over and over not in table:
-            raise InputError(f"has the columns {listing(table)}; give {over} and force")
+            other = "deflection" if over == RATIO else "force"
+            raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
     sources.append((origin(name, content), file))
     return table
 
@@ -160,6 +166,23 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     if over == "compression":
         return {over: (-x[::-1]).tolist(), "force": (-force[::-1]).tolist(), **note}
     return {wanted: x.tolist(), "force": force.tolist(), **note}
+
+
+def _of_ratio(text: str) -> dict[str, Any]:
+    """Returns a motion ratio over travel in SI units, positive in extension."""
+    table = find_table(text, "give a .csv file with a header such as deflection [mm], ratio")
+    headings = table.headings([QUANTITIES["deflection"].si])
+    ratios = [one for one in headings if RATIO in one.words]
+    travels = [one for one in headings if one.direction or "deflection" in one.words]
+    if len(ratios) != 1 or len(travels) != 1:
+        raise InputError(
+            f"has the columns {listing(one.name for one in headings)}; give one called ratio, and one called deflection, which is "
+            "positive in extension, or compression"
+        )
+    numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
+    x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]
+    order = np.argsort(x, kind="stable")
+    return {"deflection": x[order].tolist(), RATIO: numbers[order, 1].tolist()}
 
 
 def _role(heading: Heading) -> str:

@@ -226,15 +226,15 @@ def _knots(parts: Sequence[Array]) -> Array:
     return x[np.append(True, np.diff(x) > close)]
 
 
-def points(entry: Mapping[str, Any], over: Argument) -> tuple[Array, Array]:
-    """Returns argument and force of a table.
+def points(entry: Mapping[str, Any], over: Argument, of: str = "force") -> tuple[Array, Array]:
+    """Returns argument and force of a table, or another quantity.
 
     Raises:
         InputError: they are not numbers, or the argument does not ascend, or is in a wrong unit.
     """
-    x, force = _points(entry[over.name], over.name), _points(entry["force"], "force")
+    x, force = _points(entry[over.name], over.name), _points(entry[of], of)
     if len(x) != len(force):
-        raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of force; give as many")
+        raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of {of}; give as many")
     for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
         raise InputError(
             f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "

@@ -43,6 +43,7 @@ def laden(
         raise InputError("[payload]: this vehicle has no sprung_mass that moves vertically; omit the section")
     about_rest = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
+    about_rest += [*kind.ratios]
     if about_rest:
         raise InputError(
             f"[payload] sinks the car, and the curve {about_rest[0]} is about its rest without payload; give the curve about the "

@@ -2,15 +2,13 @@
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from models.common.checks import check_keys, flag_within, is_finite, number_within
-from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number
+from models.common.errors import InputError, error_in, listing, quoted
+from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number, no_loads
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
+    from models.suspension.motion_ratio import RatioTable
     from models.vehicle.limits_and_implementation import Limits
     from models.vehicle.weighted_errors import WeightedErrors
 
@@ -175,33 +174,50 @@ def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mappin
     return in_si(data, kind)
 
 
-def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "ForceCurve"], dict[str, float]]:
-    """Reads `[curves]`, and `[parameters]` with the curves' slopes at rest."""
+def curves_and_parameters(
+    data: Mapping[str, Any], kind: VehicleKind
+) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
+    """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
     if not data.get("curves"):
-        return {}, kind.check(data["parameters"])
+        return {}, kind.check(data["parameters"]), kind
     from models.suspension.curve_reading import read_curves
     from models.suspension.fitted_curves import curvable, with_slopes
 
-    over = curvable(kind.suspensions)
-    anything = {name: 1.0 for name in data["curves"] if name in over}  # the loads do not depend on it
-    curves = read_curves(
-        data["curves"], over, lambda name: static_loads(kind, kind.check({**data["parameters"], **anything})).get(name)
+    over, ratios = curvable(kind.suspensions), _ratios(data["curves"], kind)
+    section = {name: entry for name, entry in data["curves"].items() if name not in ratios}
+    at_rest = {name: table.at_rest for name, table in ratios.items()}
+    anything = {name: 1.0 for name in section if name in over} | at_rest  # the loads do not depend on it
+    curves = read_curves(section, over, lambda name: static_loads(kind, kind.check({**data["parameters"], **anything})).get(name))
+    kind = replace(kind, ratios=ratios) if ratios else kind
+    return (
+        curves,
+        kind.check(with_slopes(data["parameters"], {name: curve.slope for name, curve in curves.items()} | at_rest)),
+        kind,
     )
-    return curves, kind.check(with_slopes(data["parameters"], curves))
+
+
+def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTable]":
+    """Returns the motion ratios over travel of `[curves]`, by parameter."""
+    names = {part.ratio for part in kind.suspensions} & {*section}
+    if not names:
+        return {}
+    from models.suspension.motion_ratio import ratio_table
+
+    if kind.static_loads is no_loads:
+        raise InputError(f"[curves] {min(names)}: this vehicle type has no static_loads, which preload its springs; add them")
+    ratios = {}
+    for name in section:
+        if name in names:
+            with error_in(f"[curves] {name}:"):
+                ratios[name] = ratio_table(section[name])
+    return ratios
 
 
 def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Returns the body's weight on a spring [N], by the spring's parameter; empty for a body that does not move vertically."""
-    model = kind.whole_model(parameters)
-    if HEAVE_LOAD.name not in model.loads or "sprung_mass" not in parameters:
-        return {}
-    weight = parameters["sprung_mass"] * GRAVITY * model.Bl[:, model.loads.index(HEAVE_LOAD.name)]
-    rest = np.linalg.solve(model.A, weight)
-    springs = {part.stiffness: part for part in kind.suspensions if part.stiffness}
-    travel = {
-        name: one.motion_ratio(parameters) * float(model.rows([one.deflection])[0][0] @ rest) for name, one in springs.items()
-    }
-    return {name: -parameters[name] * stretched for name, stretched in travel.items()}
+    """Returns the load of the body's weight in a spring [N], by the spring's parameter; empty if it is not known."""
+    loads = kind.static_loads(parameters)
+    springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
+    return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
 
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
@@ -234,6 +250,8 @@ def dampers_of(
 
     sections = data.get("controllers", {}).values()
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
+    if kind.ratios:
+        raise InputError("[actuators] semi-active dampers need a constant motion ratio; give it in [parameters]")
     dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
 

@@ -152,12 +152,13 @@ class Vehicle(ShownVehicle):
     @cached_property
     def fitted(self) -> "tuple[SuspensionCurve, ...]":
         """Curves of its suspensions at the wheels, scaled to its parameters."""
-        if not (self.curves or self.dampers):
+        if not (self.curves or self.dampers or self.kind.ratios):
             return ()
         from models.suspension.fitted_curves import fitted
 
         dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
-        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
+        loads = self.kind.static_loads(self.parameters) if self.kind.ratios else {}
+        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers, self.kind.ratios, loads)
 
     @property
     def is_curved(self) -> bool:
@@ -192,7 +193,9 @@ class Vehicle(ShownVehicle):
     def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
-        return replace(self, curves={}, dampers=dampers) if self.fitted else self
+        straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
+        kind = replace(self.kind, ratios=straight) if straight else self.kind
+        return replace(self, kind=kind, curves={}, dampers=dampers) if self.fitted else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -213,8 +216,11 @@ class Vehicle(ShownVehicle):
     @cached_property
     def stops(self) -> "dict[str, Stops]":
         """Bump stops as they act at the wheels, by deflection; those of `[limits]` are at their motion ratios."""
-        ratios = {part.deflection: part.motion_ratio(self.parameters) for part in self.kind.suspensions}
-        return {name: stops.at_wheel(ratios[name]) for name, stops in self.limits.stops(self.kind.suspensions).items()}
+        stops, parts = self.limits.stops(self.kind.suspensions), {part.deflection: part for part in self.kind.suspensions}
+        for name, pair in stops.items():
+            ratio, table = parts[name].motion_ratio(self.parameters), self.kind.ratios.get(parts[name].ratio)
+            stops[name] = pair.at_wheel(ratio) if table is None else table.scaled(ratio).stops(pair)
+        return stops
 
     def _repr_html_(self) -> str:
         from models.document.notebook import gain_curve, gain_panel, notebook_figure
@@ -534,7 +540,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
     vehicle_kind = kind(data["type"], folder)
     data = in_si_units(text, data, vehicle_kind)
-    curves, parameters = curves_and_parameters(data, vehicle_kind)
+    curves, parameters, vehicle_kind = curves_and_parameters(data, vehicle_kind)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
     parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
@@ -547,8 +553,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     sums = read_sums(data["performance"], model.outputs)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs, sums)
     named = {signal for entry in controllers.values() for signal in entry.named}
-    bent = {*curves, *(force for force, part in dampers.items() if part.pair is not None)}
-    named |= {part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force} & bent}
+    bent = {*curves, *vehicle_kind.ratios, *(force for force, part in dampers.items() if part.pair is not None)}
+    named |= {
+        part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force, part.ratio} & bent
+    }
     named |= {signal for one in sums for signal in one.terms}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
     vehicle = Vehicle(

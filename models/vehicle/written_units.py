@@ -13,7 +13,7 @@ from models.suspension import STOP
 STOPS = {"suspension_stroke": "m", **dict.fromkeys(("stop_stiffness", STOP), ("N/m", "N/m2", "N/m3"))}
 LIMITS = {**STOPS, "actuator_force": "N", "actuator_bandwidth": "rad/s", "*": STOPS}
 POINTS = {"velocity": "m/s", "deflection": "m", "compression": "m", "force": "N", "fit_error": "1"}
-CURVE = {**POINTS, "preload": "N", "friction": "N", "friction_velocity": "m/s"}
+CURVE = {**POINTS, "ratio": "1", "preload": "N", "friction": "N", "friction_velocity": "m/s"}
 LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
 DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
 PAYLOAD = {"mass": "kg", "x": "m", "z": "m"}
