@@ -176,8 +176,8 @@ def _of_ratio(text: str) -> dict[str, Any]:
     travels = [one for one in headings if one.direction or "deflection" in one.words]
     if len(ratios) != 1 or len(travels) != 1:
         raise InputError(
-            f"has the columns {listing(one.name for one in headings)}; give one called ratio, and one called deflection, which is "
-            "positive in extension, or compression"
+            f"has the columns {listing(one.name for one in headings)}; give one called ratio, and one called deflection, "
+            "which is positive in extension, or compression"
         )
     numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
     x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]

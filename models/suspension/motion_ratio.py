@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from models.suspension.bump_stops import Stops
 
 SMALLEST, LARGEST = 0.05, 5.0
-LEAST_ERROR = 1e-6  # of the lines, over the largest force; doubled until so few lines suffice as MuJoCo has for a curve
-FINE = 4001  # points of P, of which the lines take some
+LEAST_ERROR, COARSER = 1e-5, 1.5  # of the lines, over the largest force, raised until there are as few as MuJoCo has for a curve
+TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+FINE = 801  # points of P, of which the lines take some
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +48,21 @@ class RatioTable:
     ratio: Array
     straight: bool = False
 
+    def __call__(self, deflection: Array) -> Array:
+        """Returns r at deflections [m], shape (...)."""
+        return np.interp(deflection, self.x, self.ratio)
+
     @property
     def at_rest(self) -> float:
         """r(0)."""
-        return float(np.interp(0.0, self.x, self.ratio))
+        return float(self(np.zeros(())))
 
     @cached_property
     def turn(self) -> float:
         """r'(0) over r(0) [1/m], the mean of both sides of rest."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
-        return slope_at_rest(x, np.interp(x, self.x, self.ratio)) / self.at_rest
+        return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
         """Returns the table times a factor, with another ratio at rest."""
@@ -68,29 +73,28 @@ class RatioTable:
         d = np.clip(deflection, self.x[0], self.x[-1])
         i = np.clip(np.searchsorted(self.x, d) - 1, 0, len(self.x) - 2)
         at = np.concatenate([[0.0], np.cumsum((self.ratio[1:] + self.ratio[:-1]) / 2 * np.diff(self.x))])
-        within = at[i] + (self.ratio[i] + np.interp(d, self.x, self.ratio)) / 2 * (d - self.x[i])
+        within = at[i] + (self.ratio[i] + self(d)) / 2 * (d - self.x[i])
         rest = int(np.searchsorted(self.x, 0.0, side="right")) - 1
         to_rest = at[rest] + (self.ratio[rest] + self.at_rest) / 2 * -self.x[rest]
-        return within - to_rest + np.interp(d, self.x, self.ratio) * (deflection - d)
+        return within - to_rest + self(d) * (deflection - d)
 
-    def deflection(self, travel: float) -> float:
-        """Returns the deflection [m] at a travel [m] of the element."""
-        low, high = sorted((0.0, travel / SMALLEST))
-        for _ in range(200):
-            middle = (low + high) / 2
-            low, high = (middle, high) if float(self.travel(np.array(middle))) < travel else (low, middle)
-        return (low + high) / 2
+    def deflection(self, travel: Array) -> Array:
+        """Returns the deflections [m] at travels [m] of the element, shape (...), by Newton's method: D rises everywhere."""
+        d = travel / self.at_rest
+        for _ in range(TRIALS):
+            d = d - (self.travel(d) - travel) / self(d)
+        return d
 
     def spring(self, curve: ForceCurve, load: float) -> ForceCurve:
         """Returns P of a spring that carries a load W [N] at rest."""
         preload = load / self.at_rest
         slope = self.at_rest**2 * curve.slope - self.turn * load
-        reach = [*self.x, *(self.deflection(float(knot)) for knot in curve.x)]
+        reach = [*self.x, *self.deflection(curve.x)]
         # Twice as far all is straight.
         x = np.unique([0.0, *reach, *np.linspace(min(reach), max(reach), FINE), 2 * min(reach), 2 * max(reach)])
 
         def pull(d: Array) -> Array:
-            return np.interp(d, self.x, self.ratio) * (curve(self.travel(d)) - preload) + load
+            return self(d) * (curve(self.travel(d)) - preload) + load
 
         force, error = pull(x), LEAST_ERROR
         largest = float(np.abs(force[1:-1]).max())
@@ -98,7 +102,7 @@ class RatioTable:
             lines = _lines(x, force, slope, error * largest)
             if len(lines[0]) <= MOST_LINES + 1:
                 break
-            error *= 2
+            error *= COARSER
         words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:.2g} %"
         return ForceCurve(*lines, slope, words)
 
@@ -115,12 +119,11 @@ class RatioTable:
 
     def stops(self, stops: "Stops") -> "Stops":
         """Returns bump stops as they act at the wheel."""
-        both = []
-        for sign, stop in ((-1.0, stops.bump), (1.0, stops.rebound)):
-            begins = sign * self.deflection(sign * stop.stroke) if np.isfinite(stop.stroke) else np.inf
-            r = float(np.interp(sign * begins, self.x, self.ratio)) if np.isfinite(begins) else self.at_rest
-            both.append(replace(stop.at_wheel(r), stroke=begins))
-        return type(stops)(*both)
+        both = {"bump": stops.bump, "rebound": stops.rebound}
+        for side, (sign, stop) in stops.sides.items():
+            begins = self.deflection(np.array(sign * stop.stroke))
+            both[side] = replace(stop.at_wheel(float(self(begins))), stroke=abs(float(begins)))
+        return replace(stops, **both)
 
 
 def _lines(x: Array, force: Array, slope: float, error: float) -> tuple[Array, Array]:

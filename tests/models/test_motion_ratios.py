@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from models.common.errors import InputError
 from models.roads.choice import choose_road
@@ -155,12 +156,13 @@ def norm_of(vehicle: Vehicle, controller) -> float:
     return hinf_norm(controller.loop(vehicle)).value
 
 
-def integrated(vehicle: Vehicle, road: np.ndarray, h: float, spring, damper, stop, gain: float) -> np.ndarray:
+def integrated(vehicle: Vehicle, road: np.ndarray, h: float, spring, damper, stop, gain: float, over=None) -> np.ndarray:
     """Travel of every suspension from first principles, shape (T, c): forces of the elements on arms, in plain numpy with RK4.
 
     Args:
         road: heights under the wheels midway through every step [m], shape (T, c).
         spring, damper, stop: pull of the elements over their own travel [m] or its rate [m/s].
+        over: ratio of the damper alone over travel [m], whose spring is at the wheel; None for constant ratios of all.
         gain: force of every actuator per upward velocity of the body above it, held over a step [N s/m].
     """
     p, ratios = vehicle.parameters, ratios_of(vehicle)
@@ -180,6 +182,8 @@ def integrated(vehicle: Vehicle, road: np.ndarray, h: float, spring, damper, sto
         q, z_u, dq, dz_u = np.split(y, [k, k + len(r), 2 * k + len(r)])
         d, v = S @ q - z_u, S @ dq - dz_u
         pull = r * (spring(r * d) + damper(r * v) + stop(r * d) - u)
+        if over is not None:
+            pull = spring(d) + over(d) * damper(over(d) * v)
         return np.concatenate([dq, dz_u, -(S.T @ pull) / M, (pull - k_t * (z_u - z_r)) / m_u])
 
     y, travels = np.zeros(2 * (k + len(r))), []
@@ -275,3 +279,109 @@ def test_ratios_that_are_not_allowed_are_refused():
         with pytest.raises(InputError, match=re.escape(words)) as refused:
             parse_vehicle(read_vehicle(kind).text.replace("[parameters]", f"[parameters]\n{line}", 1))
         assert "\n" not in str(refused.value)
+
+
+TABLE = {"deflection": [-0.09, -0.03, 0.02, 0.08], "ratio": [0.68, 0.62, 0.6, 0.55]}
+
+
+@cache
+def over_travel(kind: str) -> Vehicle:
+    """A car whose motion ratios change with travel, with progressive springs and digressive dampers on the arm."""
+    arm, _ = both(kind, "curves")
+    text = arm.text.partition("[controllers")[0]
+    for name in [name for name in arm.parameters if name.startswith("motion_ratio")]:
+        text = re.sub(rf"^{name} = .*\n", "", text, flags=re.M)
+        text += f"{name} = {{ deflection = {TABLE['deflection']}, ratio = {TABLE['ratio']} }}\n"
+    return parse_vehicle(re.sub(r"^(\[limits|suspension_stroke|stop_stiffness).*\n", "", text, flags=re.M))
+
+
+def ratio_at(d):
+    return np.interp(d, TABLE["deflection"], TABLE["ratio"])
+
+
+def travel_at(d: float) -> float:
+    """Travel of the element, by quadrature."""
+    inner = [x for x in TABLE["deflection"] if min(0.0, d) < x < max(0.0, d)]
+    return quad(ratio_at, 0.0, d, points=inner or None, epsabs=1e-14, epsrel=1e-13)[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_ratio_over_travel_turns_the_preload(kind):
+    """The wheel rate at rest is r^2 k - r' N, of the preload N = W / r that carries the weight; the damper has r^2 c."""
+    vehicle = over_travel(kind)
+    p, r, turn = vehicle.parameters, ratio_at(0.0), (0.6 - 0.62) / 0.05
+    k, c = (SPRING["force"][3] - SPRING["force"][1]) / 0.04, (DAMPER["force"][3] - DAMPER["force"][1]) / 0.2
+    rates, lengths = vehicle.kind.at_wheels(p), (p.get("axle_distance_front", 1.0), p.get("axle_distance_rear", 1.0))
+    for part in vehicle.kind.suspensions:
+        own = lengths["front" in part.corner] / sum(lengths) * (2 if kind == "quarter_car" else 1)
+        load = p["sprung_mass"] * 9.81 * own / (2 if kind == "full_car" else 1)
+        assert rates[part.stiffness] == pytest.approx(r**2 * k - turn * load / r, rel=EXACT)
+        assert rates[part.damping] == pytest.approx(r**2 * c, rel=EXACT)
+
+
+@pytest.mark.parametrize(("kind", "height"), [("quarter_car", 0.06), ("half_car", 0.05), ("full_car", 0.05)])
+def test_a_ratio_over_travel_in_physics(kind, height):
+    """Runs agree with the equations, and springs at the wheel are r(d) (F(D(d)) - N) + W, within the error they state."""
+    vehicle = over_travel(kind)
+    run = driven(vehicle, "passive", f"bump:height={height}")
+    assert run.agrees
+    assert run.energy is not None
+    assert run.energy.balances
+    spring, damper, p = straight(SPRING), straight(DAMPER), vehicle.parameters
+    for fitted in vehicle.fitted:
+        if not fitted.damps:
+            load = vehicle.kind.static_loads(p)[fitted.deflection]
+            d = np.linspace(-0.12, 0.12, 49)
+            own = ratio_at(d) * (spring(np.array([travel_at(x) for x in d])) - load / ratio_at(0.0)) + load
+            stated = float(re.search(r"within (\S+) %", fitted.curve.words)[1]) / 100
+            assert np.abs(fitted.curve(d) - own).max() <= stated * np.abs(own).max() < 2e-3 * np.abs(own).max()
+    if kind == "quarter_car":
+        by = {fitted.over.name: fitted.curve for fitted in vehicle.fitted}
+        own = integrated(vehicle, run.prediction.input.midway, 1e-3, by["deflection"], damper, lambda d: 0.0 * d, 0.0, ratio_at)
+        apart = np.abs(own[:, 0] - run.physics["suspension_deflection"]).max()
+        assert apart < 1e-9 * np.abs(own).max()
+
+
+def test_numbers_of_a_ratio_over_travel_count():
+    """A point that is 2 % off is found, by dampers and springs; and a campaign scales the table by its value at rest."""
+    vehicle = over_travel("quarter_car")
+    clean = driven(vehicle, "passive", "bump:height=0.06")
+    for point in TABLE["ratio"][1:3]:
+        other = parse_vehicle(vehicle.text.replace(f"{point},", f"{1.02 * point},").replace(f" {point}]", f" {1.02 * point}]"))
+        made = simulate([clean.controller], [RoadInput(other, clean.road, clean.physics.time)])
+        assert not compare_runs([clean.prediction], made)[0].agrees
+    scaled = vehicle.with_parameters(motion_ratio=1.1 * vehicle.parameters["motion_ratio"])
+    for one, other in zip(scaled.fitted, vehicle.fitted, strict=True):
+        if one.surface is not None and other.surface is not None:
+            np.testing.assert_allclose(one.surface.ratio, 1.1 * other.surface.ratio, rtol=EXACT)
+    assert scaled.parameters["motion_ratio"] == pytest.approx(1.1 * 0.608)
+
+
+def test_a_stop_keeps_the_ratio_at_which_it_begins():
+    """It begins where the element has gone its stroke, D(d) = -stroke, and is scaled by r there."""
+    vehicle = over_travel("quarter_car")
+    vehicle = parse_vehicle(f"{vehicle.text}\n[limits]\nsuspension_stroke = 0.03\nstop_stiffness = 1e5\n")
+    bump = vehicle.stops["suspension_deflection"].bump
+    assert travel_at(-bump.stroke) == pytest.approx(-0.03, rel=1e-12)
+    assert bump.stiffness[0] == pytest.approx(1e5 * ratio_at(-bump.stroke) ** 2, rel=1e-12)
+    assert driven(vehicle, "passive", "bump:height=0.06").agrees
+
+
+def test_a_ratio_over_travel_from_a_file(tmp_path):
+    """Headings decide the sign; what cannot be exact is refused in a line."""
+    (tmp_path / "ratio.csv").write_text("bump [mm],motion ratio\n-80,0.55\n-20,0.6\n30,0.62\n90,0.68\n")
+    text = read_vehicle("quarter_car").text + "\n[curves]\nmotion_ratio = "
+    (tmp_path / "car.toml").write_text(text + '{ file = "ratio.csv" }\n')
+    table = read_vehicle(tmp_path / "car.toml").kind.ratios["motion_ratio"]
+    assert (table.x.tolist(), table.ratio.tolist()) == (TABLE["deflection"], TABLE["ratio"])
+    vehicle = parse_vehicle(f"{text}{{ deflection = [-0.1, 0.1], ratio = [0.7, 0.5] }}\n")
+    with pytest.raises(InputError, match="controller 'state' pushes through motion_ratio"):
+        driven(vehicle, "state", "bump")
+    for more, words in (
+        ('[actuators]\nkind = "damper"\nc_min = 1.0\nc_max = 5e3\n', "need a constant motion ratio"),
+        ("[payload]\nmass = 50.0\n", "motion_ratio is about its rest"),
+    ):
+        with pytest.raises(InputError, match=words):
+            parse_vehicle(f"{vehicle.text}\n{more}")
+    with pytest.raises(InputError, match="turns the preload so much"):
+        parse_vehicle(f"{text}{{ deflection = [-0.1, 0.1], ratio = [0.3, 2.9] }}\n")
