@@ -187,6 +187,13 @@ class LinearModel:
             **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
         )
 
+    def geared(self, ratios: Array) -> "LinearModel":
+        """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""
+        if np.all(ratios == 1):
+            return self
+        own = np.array([[output == force for force in self.inputs] for output in self.outputs])
+        return replace(self, B=self.B * ratios, D=np.where(own, self.D, self.D * ratios))
+
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """Returns the model with lagging actuators: its inputs are the requested forces, the acting ones are states.
 

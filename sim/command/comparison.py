@@ -15,7 +15,6 @@ from models.common.printed import Whole, pasted_path
 from models.document.document import Document, notes
 from models.document.text import text_lines
 from models.roads.road import Road
-from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
@@ -82,8 +81,8 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 
 
 def warn(vehicle: Vehicle, controllers: Iterable[AnyController]) -> None:
-    """Warns on stderr of numbers of a vehicle that are probably not in SI units, and as `say_false_claims` does."""
-    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+    """Warns on stderr of doubtful numbers of a vehicle, and as `say_false_claims` does."""
+    for doubt in vehicle.doubts:
         complain(doubt)
     say_false_claims(controllers)
 

@@ -265,7 +265,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         mean[f"{name}_vdv"] = (window * weighted.mean_fourth_power) ** 0.25
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
-    stopped = vehicle.limits.stops(vehicle.kind.suspensions)
+    stopped = vehicle.stops
     for name in where.suspensions:
         offset = line.mean.get(name, 0.0)
         signal = root(f"{name}_rms", index[name], offset=offset)
@@ -285,6 +285,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     for (name, _), work in zip(pushing, works, strict=True):
         net, positive = work_rate(*work, mean=line.mean.get(name, 0.0))
         # n samples are n - 1 steps.
+        net, positive = vehicle.motion_ratios[name] * net, vehicle.motion_ratios[name] * positive
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
     return Expected(mean, spread, error, line)
 

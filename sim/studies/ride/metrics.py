@@ -142,7 +142,7 @@ def points(vehicle: Vehicle) -> Points:
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
     """Returns the metrics of a vehicle, in the order of a table; if loads act on its body, its angles come first."""
-    where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
+    where, stops = points(vehicle), vehicle.stops
     metrics = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
     for name in where.accelerations:
         units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
@@ -209,11 +209,16 @@ class Meter:
         """
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
-        self.where, self.stops = points(self.vehicle), self.vehicle.limits.stops(self.vehicle.kind.suspensions)
+        self.where = points(self.vehicle)
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
+        self.ratios = {name: np.array([[one.motion_ratios[name]] for one in vehicles]) for name, *_ in self.where.actuators}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
+        self.strokes = {
+            name: np.array([(one.stops[name].bump.stroke, one.stops[name].rebound.stroke) for one in vehicles]).T[..., None]
+            for name in self.vehicle.stops
+        }
         damped = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
         tyres = {name: tyre for one in damped for name, tyre in one.items()}
         times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in tyres}
@@ -265,9 +270,9 @@ class Meter:
             deflection = self._signal(values, name)
             self._add(f"{name}_rms", _squares(deflection))
             self._keep(f"{name}_peak", deflection)
-            if name in self.stops:
-                stops = self.stops[name]
-                beyond = (deflection <= -stops.bump.stroke) | (deflection >= stops.rebound.stroke)
+            if name in self.strokes:
+                bump, rebound = self.strokes[name]
+                beyond = (deflection <= -bump) | (deflection >= rebound)
                 self._add(f"{name}_at_stops", np.count_nonzero(beyond, axis=1))
         for name in self.where.tyres:
             deflection, static = self._signal(values, name), self.static[name][:, None]
@@ -290,7 +295,7 @@ class Meter:
             if travel:
                 force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
                 work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
-                work = work * np.diff(along, axis=1)
+                work = work * np.diff(along, axis=1) * self.ratios[name]
                 self._add(power(name), work.sum(axis=1))
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 
@@ -299,7 +304,9 @@ class Meter:
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
         values = self.ends | {name: largest for name, largest in self.largest.items() if name.endswith("_peak")}
         values |= {name: np.sqrt(square) for name, square in mean.items() if name.endswith(("_rms", "_weighted"))}
-        values |= {name: mean[name] for name in (*(f"{one}_at_stops" for one in self.stops), *map(off_ground, self.where.tyres))}
+        values |= {
+            name: mean[name] for name in (*(f"{one}_at_stops" for one in self.strokes), *map(off_ground, self.where.tyres))
+        }
         for name in self.where.accelerations:
             weighted = values[f"{name}_weighted"]
             still = weighted == 0

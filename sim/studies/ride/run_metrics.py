@@ -262,7 +262,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         rests = ", ".join(f"{name} {MUJOCO.digits(value)} deg" for name, value in metrics.static.items())
         said.append(f"Under the final loads the linear loop rests at {rests}. Pitch is positive nose down, roll right side down.")
         said += [f"{lacking[0].upper()}{lacking[1:]}." for lacking in [left_out(vehicle.parameters, metrics.static)] if lacking]
-    if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
+    if vehicle.stops or vehicle.limits.actuator_force is not None:
         said.append("Sampled and expected values are for a vehicle without bump stops and force limits.")
     if blur := vehicle.implementation.noise_text:
         said.append(f"Only MuJoCo's values include the {blur} of the measurements.")

@@ -79,7 +79,7 @@ KEYS = tuple(one.key for one in FIELDS)
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
     """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
-    for name, stops in vehicle.limits.stops(vehicle.kind.suspensions).items():
+    for name, stops in vehicle.stops.items():
         for side, (sign, stop) in stops.sides.items():
             most = max(0.0, float((sign * response[name][first:end]).max())), stop.stroke
             used[side] = max(used.get(side, most), most, key=lambda one: one[0] / one[1])
@@ -93,7 +93,7 @@ def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics."""
-    where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
+    where, stops = points(vehicle), vehicle.stops
     forces = [name for name, *_ in where.actuators]
     return {
         RIDE.key: tuple(f"{name}_weighted" for name in where.accelerations),

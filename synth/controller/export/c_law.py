@@ -156,6 +156,8 @@ def exported_law(
         raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
         raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
+    if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.adjustable):
+        raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
         raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions the same")
     if how.delay != int(how.delay):
