@@ -24,7 +24,7 @@ from models.common.checks import check_keys, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 from models.suspension.curve import ForceCurve, Pieces
-from models.suspension.curve_reading import COMPRESSION, DEFLECTION, ROUNDING, as_lines, points
+from models.suspension.curve_reading import DEFLECTION, ROUNDING, as_lines, points
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
@@ -284,7 +284,7 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
 
 def _stiffness(where: str, value: Any) -> Stiffness:
     if isinstance(value, Mapping):
-        with error_in(f"{where}:"):
+        with error_in(f"{where}:" if where.startswith("[") else f"[limits] {where}:"):
             return _stop_table(value)
     if not isinstance(value, (list, tuple)):
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
@@ -302,13 +302,11 @@ def _stop_table(value: Mapping[str, Any]) -> StopTable:
     check_keys("", value, TABLE_KEYS)
     if "file" in value:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
-    over = DEFLECTION if DEFLECTION.name in value else COMPRESSION
-    if over.name not in value or "force" not in value:
+    if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
         raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
     # A log has tuples.
-    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, over)
-    if over is DEFLECTION:
-        x, force = -x[::-1], -force[::-1]
+    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, DEFLECTION)
+    x, force = -x[::-1], -force[::-1]
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
     _ = table.curve if np.abs(force).max() > 0 else None  # it can be fewer lines
     return table

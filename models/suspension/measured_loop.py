@@ -44,6 +44,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
         return None
     grid = np.unique(np.concatenate([branch[0] for branch in branches]))
     grid = grid[(low <= grid) & (grid <= high)]
+    grid = grid[np.append(True, np.diff(grid) > span / (10 * BINS))]
     up, down = (np.interp(grid, *branch) for branch in branches)
     half, mean = np.abs(up - down) / 2, np.asarray(isotonic_regression((up + down) / 2).x)
     widest, offset = int(half.argmax()), float(np.interp(0.0, grid, mean)) if at_rest else 0.0
