@@ -13,9 +13,9 @@ leaves out is taken from the section with more corners. So `[limits.rear]` may h
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,13 +23,15 @@ from models.common.arrays import Array
 from models.common.checks import check_keys, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
-from models.suspension.curve import ForceCurve, Pieces
-from models.suspension.curve_reading import DEFLECTION, ROUNDING, as_lines, points
+
+if TYPE_CHECKING:
+    from models.suspension.curve import ForceCurve, Pieces
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
+ROUNDING = 1e-9  # of the largest force of a table: less is 0
 SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
 
@@ -53,8 +55,11 @@ class StopTable:
         return f"table of {len(self.force)} points up to {max(map(abs, self.force)):g} N"
 
     @cached_property
-    def curve(self) -> ForceCurve:
+    def curve(self) -> "ForceCurve":
         """The force over the compression of the stop, 0 before its first point."""
+        from models.suspension.curve import ForceCurve
+        from models.suspension.curve_reading import as_lines
+
         x, force, words = as_lines(np.array(self.compression), np.array(self.force), self.fit_error)
         return ForceCurve(np.array([-1.0, *x]), np.array([0.0, *force]), 0.0, words)
 
@@ -200,14 +205,14 @@ class Stops:
         return springs
 
     @property
-    def pieces(self) -> dict[str, Pieces]:
+    def pieces(self) -> "dict[str, Pieces]":
         """The pieces of the force that pulls together, over the deflection, of each side with a table."""
         pieces = {}
         for side, (sign, stop) in self.sides.items():
             if isinstance(stop.stiffness, StopTable):
                 own = stop.stiffness.curve.pieces
                 bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
-                pieces[f"stop_{side}"] = Pieces(own.slope, sign * (own.start + stop.stroke), *bounds)
+                pieces[f"stop_{side}"] = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])
         return pieces
 
     @property
@@ -299,6 +304,8 @@ def _stiffness(where: str, value: Any) -> Stiffness:
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
+    from models.suspension.curve_reading import DEFLECTION, points
+
     check_keys("", value, TABLE_KEYS)
     if "file" in value:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")

@@ -235,7 +235,7 @@ def points(entry: Mapping[str, Any], over: Argument) -> tuple[Array, Array]:
     """Returns argument and force of a table, positive in extension.
 
     Raises:
-        InputError: they are not numbers, or the argument does not ascend, or is in a wrong unit.
+        InputError: a point is not a number, or the argument does not ascend, or is in a wrong unit.
     """
     if COMPRESSION in entry and over.name != COMPRESSION:
         x, force = points(entry, replace(over, name=COMPRESSION))

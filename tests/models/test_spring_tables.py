@@ -241,7 +241,7 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
     one, weight = "{ deflection = [-0.1, 0, 0.1], force = [-5000, -3000, -1000] }", 504.5 * G
     vehicle = read_with(tmp_path, f"[curves]\nsuspension_stiffness = {one}", omit=["suspension_stiffness"])
     assert main(["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--duration", "0.2", "--no-logs"]) == 0
-    said = f"its table carries 3000 N at rest, and the static load is {weight:.4g} N, a difference of {weight - 3000:+.4g} N"
+    said = f"its table carries 3000 N at rest, and the static load is {weight:.1f} N, a difference of {weight - 3000:+.1f} N"
     assert said in capsys.readouterr().err
     moved = f"[curves]\nsuspension_stiffness = {one[:-2]}, preload = {weight} }}"
     with refused(f"its table carries 1000 to 5000 N, and {9e3:.6g} N rest on it"):
