@@ -1,14 +1,18 @@
 """Statements of a report's answer that no study makes itself: on its loops and their norms, and on claimed heights."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from models.common.printed import as_name
 from models.document.document import Statement
+from models.document.document import statements as statements_on
 from models.document.text import names_text
 from sim.report.scope import Scope
 from sim.runs.run import Run
 from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller
+from synth.controller.report import study_notes
 
 
 def loops(scope: Scope) -> list[Statement]:
@@ -30,6 +34,8 @@ def loops(scope: Scope) -> list[Statement]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{as_name(one.name)} DOES NOT KEEP the goals of the vehicle file: {broken[0].text}{more}."
             statements.append(Statement(text, "ends"))
+    studied = [(one.name, f"{text}.") for one in scope.driven for text in study_notes(scope.vehicle, one)]
+    statements += [replace(one, state="holds") for one in statements_on(studied)]
     if scope.laws:
         names = names_text(one.name for one in scope.laws)
         text = f"Linear analysis does not apply to {names} ({scope.kind_of_laws}), so that there is no norm, bound or margin."
@@ -39,7 +45,7 @@ def loops(scope: Scope) -> list[Statement]:
 
 def norms(scope: Scope) -> list[Statement]:
     """Returns a statement on the H-infinity norms of the ideal and of the implemented loop."""
-    ideal = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    ideal = {one.name: one.certificate.norm.value for one in scope.controllers if math.isfinite(one.certificate.norm.value)}
     if not ideal:
         return []
     text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {_listed(ideal)}."

@@ -36,7 +36,7 @@ class FragilityReport:
         """In words."""
         return [
             errors.fragility_text(self.found, self.measured, self.forces),
-            errors.rounding_text(self.found.norm, self.rounding),
+            *filter(None, [errors.rounding_text(self.found.norm, self.rounding)]),
         ]
 
     @property
@@ -50,16 +50,18 @@ def fragility_report(vehicle: Vehicle, controller: Controller | None) -> Fragili
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
     posed = controller.problem(vehicle.without_integrals)
-    borne = errors.fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
+    norms, gain = posed.of_heights is None, controller.law.continuous()
+    borne = errors.fragility(scaled_gain(posed.plant, posed.Cy, gain, posed.Dyw, posed.feedthrough), norms)
     forces = tuple(vehicle.linear_model.inputs)
-    return FragilityReport(borne, errors.rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
+    rounded = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
+    return FragilityReport(borne, rounded, controller.measured, forces)
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
-    first = next(iter(reports.values()))
+    first = min(reports.values(), key=lambda one: len(one.rounding))
     fields: list[Field[tuple[str, FragilityReport]]] = [Field("errors [%]", lambda of: of[0])]
     fields.append(Field("unstable", lambda of: _between(of[1].found.stable)))
     for share in first.found.within:

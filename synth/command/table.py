@@ -47,6 +47,7 @@ from synth.controller.report import (
     relative_difference_text,
     sampled_lines,
     sign_note,
+    study_notes,
     twist_lines,
 )
 from synth.plant.generalized import GeneralizedPlant
@@ -152,6 +153,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     )
     blocks += notes(*ideal_lines(vehicle, controllers), *([] if apart else sampled_lines(vehicle)))
     blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
+    blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
     blocks += notes(EXPLANATION, detail="full")

@@ -137,7 +137,7 @@ def robustness(
 ) -> list[Robustness | None]:
     """Returns the largest norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
-    Returns None for each controller if nothing varies.
+    Returns None for each controller if nothing varies, and for one whose stable loop has no finite norm.
 
     Args:
         timestep: MuJoCo's timestep [s].
@@ -157,6 +157,10 @@ def robustness(
     progress("")
     results: list[Robustness | None] = []
     for controller in controllers:
+        results_at_corners = list(itertools.islice(physics, len(corners)))
+        if controller.certificate.stable and math.isinf(controller.certificate.norm.value):
+            results.append(None)
+            continue
         known: dict[tuple[float, ...], float] = {}
 
         def norm(factors: Sequence[float], of: Controller = controller, known: dict[tuple[float, ...], float] = known) -> float:
@@ -168,7 +172,6 @@ def robustness(
             return known[at]
 
         factors, norms, worst, at = _worst(norm, varied)
-        results_at_corners = itertools.islice(physics, len(corners))
         results.append(
             Robustness(
                 varied=varied,
