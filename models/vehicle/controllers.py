@@ -279,8 +279,8 @@ def _controller(
                 continue
             if signal in model.heights:
                 raise InputError(
-                    f"{where} {signal!r} is a height over the datum of a flat road, which no sensor on a car has; give study = true "
-                    f"for a law to study, or signals out of: {measurable}"
+                    f"{where} {signal!r} is a height over the datum of a flat road, which no sensor on a car has; give study = "
+                    f"true for a law to study, or signals out of: {measurable}"
                 )
             raise InputError(
                 f"{where} {signal!r} contains the road's height in addition to the state, and loops are closed through the state "

@@ -115,7 +115,8 @@ def _decided(row: Row, field: Field[Certificate]) -> Any:
     """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
     if row.certificate is None:
         return "NOT DESIGNED"
-    return field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    return "infinite" if value == math.inf else value
 
 
 CERTIFICATE = attrgetter("certificate")  # of a row

@@ -302,10 +302,7 @@ def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         return []
     shows = controller.problem(vehicle).judged(controller.law).shows if isinstance(controller, Controller) else ()
     names = listing([vehicle.weighted[i].name for i in shows])
-    return [
-        STUDY,
-        *[f"no finite norm: a lasting height of the road shows in {names}, which the law does not return to 0"] * bool(shows),
-    ]
+    return [STUDY, *[f"no finite norm: a lasting height of the road leaves a lasting {names}"] * bool(shows)]
 
 
 FEEDBACK_ALONE = "norm, bound and poles are of its feedback alone; the road ahead moves no pole and changes no margin"
