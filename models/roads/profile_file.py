@@ -3,7 +3,7 @@
 ERD is the format of the University of Michigan Transportation Research Institute, in which LTPP and ProVAL share profiles: a
 header of keywords, then heights at a constant step, of one or two tracks.
 
-RDF files are roads of tyre models in Adams and MotionView. Those of the type `poly_line` have a table of distance and of the
+RDF files are roads of tyre models in Adams and MotionView. Files of the type `poly_line` have a table of distance and of the
 heights of left and right track. Vehicles start at distance 0, which the table may begin well before.
 """
 
