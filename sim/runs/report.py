@@ -193,7 +193,7 @@ def claims(controller: AnyController) -> str:
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
     if math.isinf(certificate.norm.value):
-        return "stable, without a finite norm"
+        return "no finite norm"
     where = f" at {PEAK.text(certificate.norm.peak_frequency)}" if math.isfinite(certificate.norm.peak_frequency) else ""
     bound = f", bound {BOUND.cell(certificate)}" if certificate.bound is not None else ""
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
@@ -437,7 +437,8 @@ def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -
     margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
     warning = (margins.instability or margins.small) if margins is not None else ""
     studied = study_notes(run.vehicle, controller)
-    first = [claims(controller), *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
+    claimed = [] if len(studied) > 1 else [claims(controller)]
+    first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
     others = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
     ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))

@@ -40,12 +40,15 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
     """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay.
 
-    It is None, too, for a law for study that lets a lasting height of the road show in z, or that measures its warp.
+    It is None, too, for a stable loop of a law for study that lets a lasting height of the road show in z, or measures its warp.
     """
-    if vehicle.implementation.undelayed or not has_sampled_norm(vehicle, controller):
+    if vehicle.implementation.undelayed:
         return None
-    from synth.controller.implementation_norm import norm_as_implemented
+    from synth.analysis.sampled_norm import stable
+    from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
 
+    if not has_sampled_norm(vehicle, controller) and stable(sampled_loop(vehicle, controller, timestep)):
+        return None
     return norm_as_implemented(vehicle, controller, timestep)
 
 
