@@ -439,7 +439,8 @@ def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
-    others = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    others = [text for text in every if not any(one.startswith(text) for one in first)]
     ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(
