@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
     *("law", "preview", "fmu", "inputs", "outputs"),  # what is run as it is
-    "actuators",
+    *("study", "actuators"),
     "anti_windup",
     *("order", "stable", "fastest_pole", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
@@ -100,6 +100,7 @@ class ControllerEntry:
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
+        study: True if it may measure heights over the datum of a flat road, which no sensor on a car has; then it does.
     """
 
     given_as = "an entry of vehicle.controllers"
@@ -121,6 +122,7 @@ class ControllerEntry:
     errors: "WeightedErrors | None" = None
     preview: float = 0.0
     forced: bool = False
+    study: bool = False
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -153,6 +155,7 @@ class ControllerEntry:
             "noise": any(self.hardware.noise),
             "lag": self.hardware.bandwidth is not None,
             "sampled": self.sampled,
+            "study": self.study,
         }
         parts |= {key: f"{key} = true" for key, value in flags.items() if value}
         if self.goals is not None:
@@ -262,7 +265,7 @@ def _controller(
     if of_state and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
-    measurable = listing(model.measurable)
+    study, measurable = flag_within(where, entry, "study"), listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
         mistake = f"measured = {quoted(measured)} is not a list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
@@ -272,15 +275,19 @@ def _controller(
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; give it once")
         if signal not in model.measurable:
+            if signal in model.heights and study:
+                continue
             if signal in model.heights:
                 raise InputError(
-                    f"{where} {signal!r} is a height above a flat datum, which no sensor on a car measures; give signals "
-                    f"out of: {measurable}"
+                    f"{where} {signal!r} is a height above a flat datum, which no sensor on a car measures; give study = true "
+                    f"for a law to study, or signals out of: {measurable}"
                 )
             raise InputError(
                 f"{where} {signal!r} contains the road's height in addition to the state, and feedback uses the state "
                 f"only; give signals out of: {measurable}"
             )
+    if study and not model.over_datum(measured):
+        raise InputError(f"{where} has study = true, and measures no height over the datum of a flat road; omit study")
     if not given and python is None and set(measured) <= set(model.inputs):
         raise InputError(f"{where} control forces alone do not determine the state; measure signals out of: {measurable}")
     if of_state and set(measured) != set(model.states):
@@ -310,6 +317,7 @@ def _controller(
         "anti_windup": anti_windup,
         "structure": structure,
         "preview": _preview(where, entry, dampers),
+        "study": study,
     }
     return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
 

@@ -28,6 +28,8 @@ def check_integrals(
     where = f"[controllers.{entry.name}] and the integral of {weighed} in [performance]:"
     if sampled or entry.sampled:
         raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; omit sampled")
+    if entry.study:
+        raise InputError(f"{where} the law measures heights over the datum of a flat road, which leave no integral at zero")
     if entry.goals is not None:
         raise InputError(f"{where} goals are for static gains, which have no integral; give a design or an order instead")
     if entry.errors is not None:

@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
 from models.common.printed import Whole, pasted_path
-from models.document.document import Document, notes
+from models.document.document import Document, notes, statements
 from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
@@ -24,6 +24,7 @@ from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
 from synth.controller.open_loop import LoopModel
+from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
@@ -237,7 +238,8 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     if not few:
         linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
         margins = {name: law_margins(*one) for name, one in linear.items()}
-        lines = [*text_lines(Document("", notes(*warnings(margins)))), *lines]
+        studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
+        lines = [*text_lines(Document("", (*notes(*warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and how the verdict is reached"] if few else [])] if lines else []
 
 

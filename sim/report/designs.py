@@ -7,6 +7,7 @@ import numpy as np
 
 from models.common.printed import as_name
 from models.document.document import Block, Document, Statement, Table
+from models.document.document import statements as statements_on
 from models.document.field import Field
 from models.document.text import names_text
 from models.laws.linear import gain_text, states_text
@@ -15,7 +16,7 @@ from sim.report.scope import Scope
 from synth.analysis.specification import Specification, digits
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
-from synth.controller.report import failures_of_sampled_loop
+from synth.controller.report import failures_of_sampled_loop, study_notes
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
 
@@ -61,6 +62,8 @@ def _loops(scope: Scope) -> list[Statement]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{as_name(one.name)} DOES NOT KEEP the goals of the vehicle file: {broken[0].text}{more}."
             statements.append(Statement(text, "ends"))
+    studied = [(one.name, f"{text}.") for one in scope.driven for text in study_notes(vehicle, one)]
+    statements += [replace(one, state="holds") for one in statements_on(studied)]
     if scope.laws:
         names, kinds = names_text(one.name for one in scope.laws), " or ".join(dict.fromkeys(one.kind for one in scope.laws))
         text = f"Linear analysis does not apply to {names} ({kinds}), so that there is no norm, bound or margin."

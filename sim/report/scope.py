@@ -19,6 +19,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
+from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
@@ -115,7 +116,8 @@ class Scope:
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
-        return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in self.stable}
+        some = [one for one in self.stable if has_sampled_norm(vehicle, one)]
+        return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in some}
 
     @cached_property
     def styles(self) -> dict[str, Style]:

@@ -52,6 +52,7 @@ from synth.controller.report import (
     ideal_lines,
     norm_if_implemented,
     notes_on_sampled_loop,
+    study_notes,
 )
 from synth.controller.report import notes as controller_remarks
 
@@ -184,6 +185,8 @@ def claims(controller: AnyController) -> str:
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
+    if math.isinf(certificate.norm.value):
+        return "no finite norm"
     where = f" at {PEAK.text(certificate.norm.peak_frequency)}" if math.isfinite(certificate.norm.peak_frequency) else ""
     bound = f", bound {BOUND.cell(certificate)}" if certificate.bound is not None else ""
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
@@ -416,8 +419,11 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
     margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
     warning = (margins.instability or margins.small) if margins is not None else ""
-    first = [claims(controller), *filter(None, [warning]), *code_notes(code, run.vehicle)]
-    others = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    studied = study_notes(run.vehicle, controller)
+    claimed = [] if len(studied) > 1 else [claims(controller)]
+    first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
+    every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    others = [text for text in every if not any(one.startswith(text) for one in first)]
     ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(

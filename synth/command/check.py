@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from models.common.command import chosen
 from models.common.errors import InputError, listing
 from models.vehicle.vehicle import ControllerEntry
@@ -59,7 +61,7 @@ UNPROVED = "no bound is proved: rounding leaves no X that satisfies LMI (20) nea
 def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
     """Returns a controller with a bound just above its norm, and a note; unchanged if it has a bound, or no loop to prove."""
     certificate = controller.certificate
-    if certificate.bound is not None or not certificate.stable or not controller.measured:
+    if certificate.bound is not None or not np.isfinite(certificate.norm.value) or not controller.measured:
         return controller, ()
     judged = designer.problem(controller.measured, controller.hardware).judged(controller.law)
     certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)

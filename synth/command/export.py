@@ -23,7 +23,7 @@ from synth.controller.export.compiled import compiler
 from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
-from synth.controller.report import NORM
+from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
@@ -36,10 +36,12 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         InputError: a controller is unknown or cannot be exported so, or the folder or file cannot be written.
     """
     record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
+    names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
+    studied = [name for name in names if options.controller in (None, [ALL]) or name in options.controller]
     if options.json:
         print(json.dumps(record, allow_nan=False))
     else:
-        say(lines)
+        say([*lines, *(f"{name}: {STUDY}" for name in studied)])
     return 0
 
 

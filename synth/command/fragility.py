@@ -37,9 +37,10 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
     if not controller.law.acts or not controller.certificate.stable:
         return None
     posed, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
-    found = errors.fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
-    rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant)
-    lines = [errors.fragility_text(found, *names), errors.rounding_text(found.norm, rounding)]
+    norms, gain = posed.of_heights is None, controller.law.continuous()
+    found = errors.fragility(scaled_gain(posed.plant, posed.Cy, gain, posed.Dyw, posed.feedthrough), norms)
+    rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
+    lines = [errors.fragility_text(found, *names), *filter(None, [errors.rounding_text(found.norm, rounding)])]
     return FragilityReport(found, rounding, lines, errors.fragility_object(found, rounding, *names))
 
 
@@ -47,7 +48,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
-    first = next(iter(reports.values()))
+    first = min(reports.values(), key=lambda one: len(one.rounding))
     fields: list[Field[tuple[str, FragilityReport]]] = [
         Field("errors [%]", lambda of: of[0]),
         Field("unstable", lambda of: _between(of[1].found.stable)),

@@ -46,6 +46,7 @@ from synth.controller.report import (
     notes_on_sampled_loop,
     pid_line,
     sign_note,
+    study_notes,
     twist_lines,
 )
 from synth.plant.generalized import GeneralizedPlant
@@ -113,7 +114,8 @@ def _decided(row: Row, field: Field[Certificate]) -> Any:
     """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
     if row.certificate is None:
         return "NOT DESIGNED"
-    return field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    return "infinite" if value == math.inf else value
 
 
 CERTIFICATE = attrgetter("certificate")  # of a row
@@ -159,6 +161,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
         text = "The column sampled is the norm of the sampled-data loop, including the motion between samples"
         blocks += notes(f"{text}: {built_words(vehicle)}.")
     blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
+    blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
     blocks += notes(EXPLANATION, detail="full")

@@ -17,7 +17,7 @@ from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate, certify
+from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
@@ -177,8 +177,7 @@ class Controller(ControlLaw, Checked, Shown):
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
-        plant, G = self.problem(vehicle).closed_loop(self.law)
-        return plant.closed_loop(G)
+        return self.problem(vehicle).judged(self.law).loop
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """Returns G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
@@ -257,7 +256,7 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
         X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, of_law, posed.Dyw)
-        certificate = certify(judged.plant, judged.G, X, eta, lower_bound, by_itself=judged.by_itself)
+        certificate = judged.certificate(X, eta, lower_bound)
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
@@ -268,8 +267,7 @@ def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound)
         InputError: the law has no loop.
     """
     with error_in(f"[controllers.{entry.name}]"):
-        judged = posed.judged(_law(entry))
-        certificate = certify(judged.plant, judged.G, lower_bound=lower_bound, by_itself=judged.by_itself)
+        certificate = posed.judged(_law(entry)).certificate(lower_bound=lower_bound)
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:

@@ -4,6 +4,9 @@ A law with states is a static gain on a larger vehicle: its states are integrato
 Then every formula of a loop that is closed by a gain holds for any law. Continuous, v = A_c x_c + B_c y. Sampled every T seconds,
 v = ((A_d - I) x_c + B_d y) / T is held meanwhile, which takes x_c to A_d x_c + B_d y exactly.
 
+A law for study may measure heights over the datum of a flat road, which contain that of the road. In continuous time the road's
+height then acts by the law, too. Sampled, it acts as it is at the sample.
+
 A measured acceleration contains the force. In continuous time that loop is solved. A sampled reading is taken before the new
 force acts: y = C x + D u, with the previous u, which is a state too.
 """
@@ -85,15 +88,29 @@ def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
     return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
 
 
+def heights_read(cut: OpenLoop, controller: Controller) -> Array:
+    """Returns the effect of the road's heights on all inputs, by heights over the datum of a flat road that are measured.
+
+    Its shape is (m + k, r).
+    """
+    return cut.reading @ cut.model.Cr[[cut.model.outputs.index(name) for name in controller.measured]]
+
+
 def continuous(vehicle: Vehicle, controller: Controller) -> OpenLoop:
     """Returns the open loop in continuous time; a discrete law as its bilinear counterpart.
+
+    What the road's heights do by the law is part of its model's Br and Cr.
 
     Raises:
         InputError: the measurements contain the force, and that loop has no solution.
     """
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
-    return _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+    cut = _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+    felt = heights_read(cut, controller)
+    if not felt.any():
+        return cut
+    return replace(cut, model=replace(cut.model, Br=cut.model.Br + cut.model.B @ felt, Cr=cut.model.Cr + cut.model.D @ felt))
 
 
 def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop:

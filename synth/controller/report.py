@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rate_digits
 from synth.analysis.stability import MARGINAL
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
@@ -38,12 +38,26 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay."""
+    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay.
+
+    It is None, too, for a stable loop of a law for study that lets a lasting height of the road show in z, or measures its warp.
+    """
     if vehicle.implementation.undelayed:
         return None
-    from synth.controller.implementation_norm import norm_as_implemented
+    from synth.analysis.sampled_norm import stable
+    from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
 
+    if not has_sampled_norm(vehicle, controller) and stable(sampled_loop(vehicle, controller, timestep)):
+        return None
     return norm_as_implemented(vehicle, controller, timestep)
+
+
+def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
+    """Returns False for a stable loop without a norm, and for measured heights with the warp of the road, which has no energy."""
+    model, norm = vehicle.linear_model, controller.certificate.norm.value
+    heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
+    warped = np.abs(model.Cr[heights] @ road_twist_inputs(model).T).max(initial=0.0) > HELD
+    return not (warped or (controller.certificate.stable and math.isinf(norm)))
 
 
 def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNorm | None, tuple[str, ...]]:
@@ -254,6 +268,18 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(f"designs that measure {names} have its integral as a state; norms as implemented omit the integral")
     return lines
+
+
+STUDY = "for study only: no sensor on a car measures its heights over the datum of a flat road"
+
+
+def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
+    """Returns notes on a law for study: that no car can have it, and why it has no finite norm, if so."""
+    if not vehicle.linear_model.over_datum(controller.measured):
+        return []
+    shows = controller.problem(vehicle).judged(controller.law).shows if isinstance(controller, Controller) else ()
+    names = listing([vehicle.weighted[i].name for i in shows])
+    return [STUDY, *[f"no finite norm: a lasting height of the road leaves a lasting {names}"] * bool(shows)]
 
 
 FEEDBACK_ALONE = "norm, bound and poles are those of its feedback alone; the preview changes no pole and no margin"

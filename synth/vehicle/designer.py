@@ -90,8 +90,13 @@ class SharedDesignData:
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
-        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback."""
+        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback.
+
+        For heights over the datum, it is the bound of any measurements.
+        """
         key = tuple(measured), noise
+        if self.vehicle.linear_model.over_datum(measured):
+            return self.beyond_control
         if key not in self._bounds:
             posed = self.problem(*key)
             Cy, Dyw = posed.select_rows(posed.state_measurements)

@@ -110,7 +110,9 @@ def describe(
     if lines:
         tables.append(Table.of("frequency-responses", "Frequency responses in MuJoCo and in linear analysis.", RESPONSES, lines))
     if sweeps:
-        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, sweeps), *_details(sweeps)]
+        bounded = [one for one in sweeps if one.is_bounded]
+        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, bounded)] * bool(bounded)
+        tables += _details(sweeps)
     if own:
         caption = "Describing functions: fundamentals per road velocity, and the energy at other frequencies."
         moving = [(one, i) for one in own for i in one.moving]
@@ -144,7 +146,9 @@ def _largest(one: Sweep | None) -> str:
     """Returns a sentence on the gains of a sweep whose claims hold, or an empty one without a sweep."""
     if one is None:
         return ""
-    if one.extremes.lti:
+    if not one.is_bounded:
+        text = "No sinusoid is the worst, as the loop has no finite norm"
+    elif one.extremes.lti:
         text = "The worst sinusoid reaches the held-road norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
@@ -196,7 +200,8 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
     invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
     norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
     yield Table.of("signals", "Largest errors of the frequency responses of each signal.", SIGNALS, signals, 2, detail="full")
-    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, sweeps, detail="full")
+    bounded = [one for one in sweeps if one.is_bounded]
+    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, bounded, detail="full")
     if invariants:
         caption = "Transmissibilities from the road that no suspension force can change."
         yield Table.of("invariants", caption, INVARIANTS, invariants, 2, detail="full")

@@ -66,7 +66,8 @@ def margins_figure(found: StabilityMargins) -> Figure:
         _search_panel(f"{title}\n{_both(field, at, seen)}", label, search, rate, field.scale)
         for title, label, search, field, at, seen in searches
     ]
-    panels.append(_fragile_panel(fragile))
+    if math.isfinite(fragile.predicted.norm):
+        panels.append(_fragile_panel(fragile))
     if found.box is not None:
         panels.append(_box_panel(controller, found.box))
     lag, lead = predicted.smallest_phase, predicted.lead

@@ -306,6 +306,8 @@ def _values(parameters: dict[str, float]) -> str:
 def _box_document(found: StabilityMargins) -> Document:
     """Returns what other vehicles make of the norm."""
     if (box := found.box) is None:
+        if math.isinf(found.controller.certificate.norm.value):
+            return Document("", notes("Other vehicles are not compared, as the loop has no finite norm."))
         return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
     text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. Nothing is proved between them."

@@ -138,7 +138,7 @@ def robustness(
 ) -> list[Robustness | None]:
     """Returns the largest norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
-    Returns None for each controller if nothing varies.
+    Returns None for each controller if nothing varies, and for one whose stable loop has no finite norm.
 
     Args:
         timestep: MuJoCo's timestep [s].
@@ -158,6 +158,10 @@ def robustness(
     progress("")
     results: list[Robustness | None] = []
     for controller in controllers:
+        at_corners = list(itertools.islice(physics, len(corners)))
+        if controller.certificate.stable and math.isinf(controller.certificate.norm.value):
+            results.append(None)
+            continue
 
         @cache
         def norm(*factors: float, of: Controller = controller) -> float:
@@ -168,7 +172,7 @@ def robustness(
         factors, norms, worst, at = _worst(norm, varied)
         vertices = tuple(
             ParameterVertex(corner, _changed(vehicle, variations, corner), norm(*corner), not grows, agrees)
-            for corner, (grows, agrees) in zip(corners, physics, strict=False)  # the next ones, of this controller
+            for corner, (grows, agrees) in zip(corners, at_corners, strict=True)
         )
         computed, loop = norm.cache_info().currsize, controller.loop(_with_factors(vehicle, variations, at))
         worst = hinf_norm(loop).value if math.isfinite(worst) else worst

@@ -19,6 +19,7 @@ from synth.controller.controller import SUFFIX, AnyController, Controller
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import ExportedCode
+from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
@@ -98,10 +99,11 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
         else "",
         f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
     ]
+    studied = "".join(f"\n{text[0].upper()}{text[1:]}.\n" for text in study_notes(vehicle, driver))
     return f"""# Controller {driver.name} as C99
 
 {driver.text}
-
+{studied}
 ```c
 {p}_state state;
 {p}_in in;
