@@ -32,7 +32,7 @@ MOST = {  # formats in a folder: lower these, never raise them
     "sim/report": 9,
     "sim/response": 7,
     "sim/runs": 13,
-    "sim/studies": 16,
+    "sim/studies": 5,
 }
 
 

@@ -292,10 +292,10 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     ]
     names, tables = max(angles, key=len, default={}), []
     if names:
-        columns: list[Field[tuple[Run, Mapping[str, float]]]] = [Field("angles [deg]", lambda row: row[0].controller.name)]
-        for name in names:
-            label = name.replace("_angle", "").replace("_", " ")
-            columns.append(ANGLE.of(lambda row, name=name: row[1].get(name), label))
+        columns: tuple[Field[tuple[Run, Mapping[str, float]]], ...] = (
+            Field("angles [deg]", lambda row: row[0].controller.name),
+            *(ANGLE.of(lambda row, name=name: row[1].get(name), name.replace("_angle", "").replace("_", " ")) for name in names),
+        )
         tables = [Table.of("angles", "Largest angles of the body.", columns, zip(runs, angles, strict=False))]
     rides = [
         [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
