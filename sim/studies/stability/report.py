@@ -217,7 +217,7 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
     if slopes := lines_at_rest(vehicle.fitted):
         texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
     if bent_at_rest(vehicle):
-        texts.append("So they are in MuJoCo, as a curve with a kink at equilibrium has no derivative there.")
+        texts.append("MuJoCo uses this linearisation, too, as a curve with a kink at equilibrium has no derivative there.")
     return texts
 
 
