@@ -85,8 +85,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
-    mass = np.diag([1.0] * len(model.A) + [0.0])
-    zeros = linalg.eigvals(pencil, mass)
+    zeros = linalg.eigvals(pencil, np.diag([1.0] * len(model.A) + [0.0]))
     zeros = zeros[np.isfinite(zeros)]
     above, off = np.imag(zeros), np.abs(np.real(zeros))
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
@@ -189,8 +188,7 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
         return None
     run = driven(designer, one)
     if one.what in OF_A_STEP:
-        physics = _steps(run, one.band)[one.signal].mujoco
-        return None if physics is None else getattr(physics, one.what)
+        return getattr(_steps(run, one.band)[one.signal].mujoco, one.what, None)
     return float(run.physics.rms(one.signal) if one.what == "rms" else np.abs(run.physics[one.signal]).max())
 
 
