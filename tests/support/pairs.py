@@ -185,7 +185,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "cannot be stabilised from what is measured",
     "semi-active dampers and force actuators cannot be exported together",
     "has noise without sample_period",
-    "that has no frequency response",
+    "makes a loop that has no frequency response",
     "has an entry beyond 1e+15",
     "has an entry that is not finite",
 )

@@ -75,15 +75,15 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
         time: equidistant sample times from 0 [s].
     """
     ends = enclosed(vehicle, controllers, [bump] * len(controllers), time)
-    below = {i: replace(bump, height=end.stays) for i, end in enumerate(ends) if end is not None and end.stays > 0}
-    inputs = [RoadInput(vehicle, road, time) for road in below.values()]
-    physics = simulate([controllers[i] for i in below], inputs) if below else None
-    for k, (i, road) in enumerate(below.items()):
-        end, analysis = ends[i], analysed(vehicle, controllers[i], [road], time).run(0)
-        if end is not None and physics is not None:
-            run = physics.response.run(k)
-            until = first_loose(inputs[k], run)
-            ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
+    below = [(i, end) for i, end in enumerate(ends) if end is not None and end.stays > 0]
+    inputs = [RoadInput(vehicle, replace(bump, height=end.stays), time) for _, end in below]
+    if not below:
+        return ends
+    runs = simulate([controllers[i] for i, _ in below], inputs).response
+    for k, (i, end) in enumerate(below):
+        run, analysis = runs.run(k), analysed(vehicle, controllers[i], [inputs[k].road], time).run(0)
+        until = first_loose(inputs[k], run)
+        ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
     return ends
 
 
