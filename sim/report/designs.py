@@ -46,16 +46,16 @@ def _loops(scope: Scope) -> list[Statement]:
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
     if built:
-        text = f"Designs and certificates describe the ideal loop. MuJoCo runs the loop as built: {', '.join(built)}."
+        text = f"Designs and certificates describe the ideal loop. MuJoCo runs the implemented loop: {', '.join(built)}."
         statements.append(Statement(text, "holds"))
     for one in scope.controllers:
         stable, ideal = one in scope.stable, one.certificate.stable
         if not (stable and ideal):
-            words = "stable ideally and UNSTABLE as built, so only its design and its run are reported"
+            words = "stable ideally and UNSTABLE as implemented, so only its design and its run are reported"
             if not ideal:
                 words = "UNSTABLE, so only its run is reported"
             if stable:
-                words = "stable as built and UNSTABLE as the ideal loop, so it has no ideal norm and no margins"
+                words = "stable as implemented and UNSTABLE ideally, so it has no ideal norm and no margins"
             statements.append(Statement(f"The loop of {as_name(one.name)} is {words}.", "holds" if stable else "ends"))
         if broken := [promise for promise in one.specifications if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""

@@ -131,7 +131,7 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
         write_picture(figure, paths[0])
         write_picture(figure, paths[1])
         assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert "shades: z [m], from 0 to 2.75, largest at x 0.75, y 2.</" in (tmp_path / "a.svg").read_text(encoding="utf-8")
+    assert "shades: z [m], from 0 to 2.75, largest at x 0.75, y 2." in (tmp_path / "a.svg").read_text(encoding="utf-8")
 
 
 BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:step"\n'

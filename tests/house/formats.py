@@ -29,7 +29,7 @@ MOST = {  # formats in a folder: lower these, never raise them
     "sim/inspect": 2,
     "sim/physics": 3,
     "sim/recording": 5,
-    "sim/report": 9,
+    "sim/report": 4,
     "sim/response": 7,
     "sim/runs": 13,
     "sim/studies": 16,

@@ -162,7 +162,7 @@ def test_vehicles_and_controllers_go_to_other_processes():
     for name in shipped():
         vehicle = models.read_vehicle(name)
         for again in (pickle.loads(pickle.dumps(vehicle)), copy.deepcopy(vehicle)):
-            assert (again.text, again.shown, again.kind.signals) == (vehicle.text, vehicle.shown, vehicle.kind.signals)
+            assert (again.text, repr(again), again.kind.signals) == (vehicle.text, repr(vehicle), vehicle.kind.signals)
             for one, same in zip(vehicle.kind.wheels, again.kind.wheels, strict=True):
                 assert one.behind is same.behind
                 assert one.lateral(vehicle.parameters) == same.lateral(again.parameters)
