@@ -27,7 +27,7 @@ from synth.controller.report import NORM
 PANELS = {  # of the first figure
     RIDE: "Acceleration of the body",
     TRAVEL: "Travel of the suspension",
-    LOAD: "Change of the tyre load",
+    LOAD: "Dynamic tyre load",
     FORCE: "Largest force",
 }
 GOAL = Field[float]("value", float, ".4g")

@@ -88,7 +88,7 @@ def test_remarks_of_the_paper(report, designer):
     assert float(ways["II, genetic"]["norm"]) < float(ways["II, two steps"]["norm"]) == pytest.approx(7.906842)
     assert ways["I, genetic"]["work"].endswith(" norms")
     assert float(ways["I, genetic"]["processor time [s]"]) > 0
-    assert "every entry of the gain from -20000 to 20000, seed 1" in table.caption
+    assert "gain entries from -20000 to 20000, seed 1" in table.caption
 
 
 @pytest.mark.attack
