@@ -261,15 +261,8 @@ def check_folder(folder: Path, options: Namespace) -> int:
     if options.json:
         print(json.dumps({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran}))
     else:
-        say(
-            [
-                f"controller {name} as C99 in {law.numbers}",
-                f"  {claims if isinstance(claims, str) else 'its claims do not hold'}",
-                f"  {ran}",
-                "",
-                verdict,
-            ]
-        )
+        claimed = claims if isinstance(claims, str) else "its claims do not hold"
+        say([f"controller {name} as C99 in {law.numbers}", f"  {claimed}", f"  {ran}", "", verdict])
     return 1 if failures else 0
 
 
