@@ -331,9 +331,7 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]
-    instead = (
-        f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law, norm {rough(slower[-1].norm)}" if slower else ""
-    )
+    more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rough(slower[-1].norm)}" if slower else ""
     return (
         f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
         f"{1 / best.pole:.1g} s or more cannot run it{more}"
