@@ -20,7 +20,7 @@ from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
-from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
+from synth.controller.export.fmu_model import FmuModel, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.controller.report import NORM
@@ -166,7 +166,8 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and do
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns a controller as the content of an FMU, with the exported folder as its resources."""
-    check_floating(options.numbers)
+    if options.numbers not in ("double", "float"):
+        raise InputError(f"the variables of an FMU are floating point, and {options.numbers} is not; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
 

@@ -111,14 +111,6 @@ def failures_of_sampled_loop(
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
-def remaining_false_claims(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the false claims of a certificate, except instability that sampling cures."""
-    if not wrong or controller.certificate.stable:
-        return wrong
-    excused = instability_cured_by_sampling(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
-    return tuple(each for each in wrong if each not in excused)
-
-
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns a note if only sampling makes the loop stable."""
     return tuple(f"without a computer its loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))

@@ -132,7 +132,7 @@ All readings are measured from static equilibrium, upwards positive. {" ".join(f
 cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 ```
 
-- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows whether anything was changed.
+- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows if a file was changed.
 """
 
 
