@@ -69,7 +69,7 @@ def surface_from(entry: Mapping[str, Any]) -> ForceSurface:
             f"its force at deflection {d[j]:g} m falls beyond {v[-i]:g} m/s, as it goes on from there; end the table where "
             "it is level or rises"
         )
-    return surface_of(v, d, table, f"{len(v)} velocities by {len(d)} deflections, at most {largest:.4g} N")
+    return surface_of(v, d, table, f"{len(v)} velocities by {len(d)} deflections, at most {largest:g} N")
 
 
 def _axis(given: Any, name: str) -> Array:
