@@ -20,7 +20,8 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
     model, readout = prepared(vehicle, timestep)
     # A model without a stop, a bar or a ramp cannot hold that of another vehicle.
-    elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
+    actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
+    elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return b"".join(
         part.tobytes()
