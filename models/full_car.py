@@ -8,7 +8,7 @@ import numpy as np
 
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
-from models.kinds.kind import Parameter, Parameters, Variation
+from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
@@ -37,6 +37,7 @@ PARAMETERS = (
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
     *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
+    *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
     rigid_body.CENTRE_HEIGHT,
     *(
         Parameter(

@@ -4,7 +4,7 @@ import numpy as np
 
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car
-from models.kinds.kind import Parameter, Parameters, Variation
+from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
 from models.kinds.rigid_body import Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
@@ -18,6 +18,7 @@ PARAMETERS = (
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s", positive=False),
     *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t (the paper's k_u)", varied=Variation("tyre stiffness", 0.75, 1.25)),
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
+    *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
     rigid_body.CENTRE_HEIGHT,
     *links.LENGTHWAYS,
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.kinds import signals
-from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel, motion_ratio
 from models.kinds.linear_model import LinearModel
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
@@ -24,6 +24,7 @@ PARAMETERS = (
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
     Parameter("tyre_stiffness", "N/m", "k_t (the paper's k_u)", varied=Variation("tyre stiffness", 0.75, 1.25)),
     Parameter("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
+    motion_ratio("motion_ratio"),
 )
 
 STATES = (
@@ -99,6 +100,11 @@ def static_tyre_deflection(p: Parameters) -> dict[str, float]:
     """Returns the compression of the tyre at rest [m]: the weight of both masses over k_u."""
     weight = (p["sprung_mass"] + p["unsprung_mass"]) * GRAVITY
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
+
+
+def static_loads(p: Parameters) -> dict[str, float]:
+    """Returns the weight on the suspension [N]."""
+    return {signals.SUSPENSION_DEFLECTION.name: p["sprung_mass"] * GRAVITY}
 
 
 def write_mjcf(spec: Any, p: Parameters) -> None:
@@ -188,6 +194,7 @@ KIND = VehicleKind(
     linear_model=linear_model,
     static_tyre_deflection=static_tyre_deflection,
     write_mjcf=write_mjcf,
+    static_loads=static_loads,
     invariants=INVARIANTS,
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),

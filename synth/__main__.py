@@ -25,7 +25,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = parse_options(arguments)
-    from models.vehicle.limits_and_implementation import unit_doubts
     from models.vehicle.vehicle import read_vehicle
 
     if options.check is not None and options.check.is_dir():
@@ -33,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return check_folder(options.check, options)
     vehicle = read_vehicle(options.check or options.vehicle)
-    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+    for doubt in vehicle.doubts:
         complain(doubt)
     if options.export is not None:
         from synth.command.export import export

@@ -51,6 +51,10 @@ _WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and w
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
+DIRECTIONS: Mapping[str, int] = {  # words of a heading that decide its sign: 1 in extension, -1 in compression
+    **dict.fromkeys(("compression", "comp", "bump", "jounce"), -1),
+    **dict.fromkeys(("extension", "rebound", "reb", "droop"), 1),
+}
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 
@@ -73,10 +77,20 @@ class Heading:
     @property
     def quantity(self) -> str:
         """One of `QUANTITIES`; empty if the heading names none or several, or has an unknown word."""
-        named = {NAMES.get(word, "unknown") for word in re.findall(r"[a-z]+", self.name.lower())} - {""}
+        named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
             named.discard("height")  # "left height"
         return named.pop() if len(named) == 1 and named != {"unknown"} else ""
+
+    @property
+    def words(self) -> frozenset[str]:
+        """The words of its name, in small letters."""
+        return frozenset(re.findall(r"[a-z]+", self.name.lower()))
+
+    @property
+    def direction(self) -> int:
+        """The direction that its words call positive: 1 for extension, -1 for compression, and 0 for none or both."""
+        return sum({DIRECTIONS[word] for word in self.words & DIRECTIONS.keys()})
 
     def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
         """Returns the size of the column's unit in SI.
@@ -117,8 +131,9 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
             return Heading(text, text, "", column)  # height (left)
         return Heading(text, text[: bracket.start()], unit_named(bracket[1]), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
-        if any(unit_size(text[gap.end() :], unit) for unit in units):
-            return Heading(text, text[: gap.start()], unit_named(text[gap.end() :]), column)
+        written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
+        if any(unit_size(written, unit) for unit in units):
+            return Heading(text, text[: gap.start()], unit_named(written), column)
     return Heading(text, text, "", column)
 
 

@@ -21,13 +21,13 @@ class Replacement:
         path: the sections of the key, from the outermost, and the key itself.
         values: the new keys with their values.
         comment: comment on the line above; empty for none.
-        file: the file that contains the values, if any.
+        files: the files that contain the values.
     """
 
     path: tuple[str, ...]
     values: Mapping[str, Any]
     comment: str = ""
-    file: Path | None = None
+    files: tuple[Path, ...] = ()
 
 
 def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:

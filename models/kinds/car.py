@@ -88,6 +88,11 @@ class Car:
         """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
         return self.body(p).static_tyre_deflection()
 
+    def static_loads(self, p: Parameters) -> dict[str, float]:
+        """Returns the body's weight on each suspension [N], by deflection."""
+        names = (signal.name for signal in self.at_corners(signals.SUSPENSION_DEFLECTION))
+        return dict(zip(names, self.body(p).static_loads().tolist(), strict=True))
+
     def write_mjcf(self, spec: Any, p: Parameters) -> None:
         """Writes the parameters into the MJCF."""
         rigid_body.write_mjcf(spec, self.body(p))
@@ -133,6 +138,7 @@ class Car:
             linear_model=self.linear_model,
             static_tyre_deflection=self.static_tyre_deflection,
             write_mjcf=self.write_mjcf,
+            static_loads=self.static_loads,
             check_together=check,
             combined=combined or {},
             on_demand=self.on_demand,

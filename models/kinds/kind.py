@@ -7,9 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
+import numpy as np
+
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
 from models.common.errors import InputError, alike
-from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     CONTROL_FORCE,
@@ -22,6 +23,7 @@ from models.kinds.signals import (
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
+    from models.suspension.motion_ratio import RatioTable
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; parameters beyond these are mistakes, and rounding would decide
 
@@ -96,6 +98,12 @@ class Parameter(Checked):
         return number_within(self.name, value, smallest, self.largest, self.unit)
 
 
+def motion_ratio(name: str) -> Parameter:
+    """Returns the parameter of the motion ratio of an axle, or of the only suspension."""
+    meaning = "r, travel of spring, damper, bump stop and actuator per wheel travel; 1 if they are at the wheel"
+    return Parameter(name, "1", meaning, smallest=0.05, largest=5.0, optional=True)
+
+
 def is_number(value: Any) -> bool:
     """Returns True if the value is a number that a vehicle file may hold."""
     return is_finite(value) and abs(value) <= LARGEST
@@ -105,6 +113,7 @@ HERE = Path(__file__).parent.parent  # folder of the shipped kinds
 GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
+OF_SUSPENSION = ("suspension_stiffness", "suspension_damping", "motion_ratio")  # beginnings of its parameters' usual names
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
@@ -124,6 +133,11 @@ def anything(p: Parameters) -> None:
 def no_wheel_loads(p: Parameters) -> "tuple[BodyLoad, ...]":
     """Returns no loads."""
     return ()
+
+
+def no_loads(p: Parameters) -> Mapping[str, float]:
+    """Returns no loads by name."""
+    return {}
 
 
 def nothing_carried(p: Parameters, way: str, force: float, acceleration: float) -> Mapping[str, float]:
@@ -182,6 +196,8 @@ class Suspension(Checked):
         tendon: name of the MJCF tendon; the bump stop is parallel to it.
         force: input that pushes along it; empty for a passive one.
         stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
+        ratio: parameter of its motion ratio, travel of all its elements per wheel travel; empty for elements at the wheel. The
+            equations of the kind are for elements at the wheel: `VehicleKind.at_wheels` converts.
     """
 
     deflection: Name
@@ -189,6 +205,11 @@ class Suspension(Checked):
     force: str = ""
     stiffness: str = ""
     damping: str = ""
+    ratio: str = ""
+
+    def motion_ratio(self, parameters: Parameters) -> float:
+        """Returns its motion ratio."""
+        return parameters.get(self.ratio, 1.0)
 
     @property
     def ending(self) -> str:
@@ -269,6 +290,8 @@ class VehicleKind(Checked):
             `roll_angle` likewise.
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
             compared with the linear model alone.
+        static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
+        ratios: motion ratios that change with travel, by parameter, in the kind of a vehicle that has some.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -290,6 +313,8 @@ class VehicleKind(Checked):
     carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = nothing_carried
     angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = no_angles
     motion: Callable[[Parameters], "Motion"] | None = None
+    static_loads: Callable[[Parameters], Mapping[str, float]] = no_loads
+    ratios: "Mapping[str, RatioTable]" = field(default_factory=dict)
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -326,12 +351,38 @@ class VehicleKind(Checked):
         known = set(self.signals)  # to compare signals one by one took longer than to compile a model
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
+    def at_wheels(self, parameters: Parameters) -> Parameters:
+        """Returns the parameters with the rates of springs and dampers at the wheel, k r^2 and c r^2 at a motion ratio r.
+
+        A ratio that changes with travel turns the preload: of its springs that is part of the rate. The ratios are then 1, or
+        are left out if they are tables.
+        """
+        parts = [part for part in self.suspensions if part.ratio in parameters]
+        parts = [part for part in parts if parameters[part.ratio] != 1 or part.ratio in self.ratios]
+        if not parts:
+            return parameters
+        rates, loads = dict(parameters), self.static_loads(parameters) if self.ratios else {}
+        for part in parts:
+            for name in (part.stiffness, part.damping):
+                if name in parameters:
+                    rates[name] = parameters[name] * parameters[part.ratio] ** 2
+            if part.ratio in self.ratios and part.stiffness in parameters:
+                rates[part.stiffness] -= self.ratios[part.ratio].turn * loads[part.deflection]
+        rates |= dict.fromkeys((part.ratio for part in parts), 1.0)
+        return {name: rate for name, rate in rates.items() if name not in self.ratios}
+
+    def _at_ratios(self, parameters: Parameters) -> LinearModel:
+        """Returns the linear model of the kind with its elements at their motion ratios."""
+        model = self.linear_model(self.at_wheels(parameters))
+        ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
+        return model.geared(np.array([ratios.get(force, 1.0) for force in model.inputs]))
+
     def model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             names = {signal.name for signal in self.signals}
-            model = self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+            model = self._with_rates(self._at_ratios(parameters).without(self.unnamed), names)
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             kept[key] = model
@@ -343,7 +394,7 @@ class VehicleKind(Checked):
 
     def whole_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals: those on demand, and the suspensions' velocities."""
-        model = self.linear_model(parameters)
+        model = self._at_ratios(parameters)
         return self._with_rates(model, {part.velocity.name for part in self.suspensions if model.has_rate(part.deflection)})
 
     def _with_rates(self, model: LinearModel, names: Collection[str]) -> LinearModel:
@@ -362,7 +413,7 @@ class VehicleKind(Checked):
             if name.startswith(SUSPENSION_DEFLECTION.name):
                 ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
                 force = f"{CONTROL_FORCE.name}{ending}"
-                parameters = (self.of_corner(part, ending) for part in ("suspension_stiffness", "suspension_damping"))
+                parameters = (self.of_corner(part, ending) for part in OF_SUSPENSION)
                 suspensions.append(Suspension(name, f"suspension{ending}", force if force in names else "", *parameters))
         return tuple(suspensions)
 
@@ -434,7 +485,14 @@ class VehicleKind(Checked):
             InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
         """
         checked = self.check_each(parameters)
-        self.check_together(checked)
+        at_wheels = self.at_wheels(checked)
+        for part in self.suspensions if self.ratios else ():
+            if at_wheels.get(part.stiffness, 0.0) < 0:
+                raise InputError(
+                    f"{part.ratio} turns the preload so much that the spring's rate at the wheel is "
+                    f"{at_wheels[part.stiffness]:.4g} N/m; give a stiffer spring, or a ratio that changes less with travel"
+                )
+        self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
@@ -451,25 +509,3 @@ class VehicleKind(Checked):
 def _written(content: bytes) -> VehicleKind:
     """Returns a kind of a user's own from its pickled fields."""
     return VehicleKind(**pickle.loads(content))
-
-
-class ShownVehicle(Shown):
-    """Short description of a vehicle, as text or table."""
-
-    kind: VehicleKind
-    parameters: Mapping[str, float]
-    performance: Mapping[str, float]
-    controllers: Mapping[str, Any]
-    source: str
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Kind and file, then parameters, weights and controllers."""
-        units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
-        return f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}", {
-            "parameters": ", ".join(
-                f"{name} {value:g} {units.get(name, '')}".rstrip() for name, value in self.parameters.items()
-            ),
-            "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
-            "controllers": ", ".join(("passive", "state", *self.controllers)),
-        }

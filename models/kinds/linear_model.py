@@ -114,6 +114,10 @@ class LinearModel:
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
+    def over_datum(self, signals: Collection[str]) -> list[str]:
+        """Returns those of some signals that are heights over the datum of a flat road: a law for study may measure these."""
+        return [name for name in self.heights if name in signals]
+
     @property
     def tyres_damp(self) -> bool:
         """True if the road's velocity pushes a wheel."""
@@ -186,6 +190,13 @@ class LinearModel:
             outputs=(*self.outputs, *integrals),
             **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
         )
+
+    def geared(self, ratios: Array) -> "LinearModel":
+        """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""
+        if np.all(ratios == 1):
+            return self
+        own = np.array([[output == force for force in self.inputs] for output in self.outputs])
+        return replace(self, B=self.B * ratios, D=np.where(own, self.D, self.D * ratios))
 
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """Returns the model with lagging actuators: its inputs are the requested forces, the acting ones are states.

@@ -38,7 +38,7 @@ class Motion(Protocol):
         """Returns the rates of the states, shape (T, n).
 
         Args:
-            inputs: forces [N], shape (T, m).
+            inputs: forces at the wheels [N], shape (T, m).
             pulls: forces of the suspensions beyond their linear springs and dampers.
             loads: loads on the body [N, N m], shape (T, l); if tyres damp, also the road's velocities [m/s], shape (T, l + r).
         """

@@ -83,10 +83,16 @@ def check_parts(kind: VehicleKind) -> None:
         *(("a suspension's deflection", part.deflection, signals) for part in suspended),
         *(("a suspension's stiffness", part.stiffness, names["parameter"]) for part in suspended if part.stiffness),
         *(("a suspension's damping", part.damping, names["parameter"]) for part in suspended if part.damping),
+        *(("a suspension's ratio", part.ratio, names["parameter"]) for part in suspended if part.ratio),
         *((f"a signal of the invariant {one.name!r}", name, signals) for one in kind.invariants for name in one.signals),
     ):
         if name not in known:
             raise InputError(f"{what} is {name!r}, which is unknown; give one of {listing(known)}")
+    ratios: dict[str, str] = {}
+    for part in kind.suspensions:
+        for name in filter(None, (part.stiffness, part.damping)):
+            if ratios.setdefault(name, part.ratio) != part.ratio:
+                raise InputError(f"{name} is of suspensions with different motion ratios; give each suspension its own parameter")
 
 
 def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
@@ -123,7 +129,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven
     forces = {suspension.force for suspension in kind.suspended or () if suspension.force}
     if model.tyres_damp:
-        raise InputError("linear_model gives Bt or Dw, of tyres that damp, which only built-in kinds have; omit them")
+        raise InputError("linear_model gives Bt or Dw, of tyres that damp, which only built-in vehicle types have; omit them")
     for what, given, wanted in (
         ("disturbances", model.disturbances, roads),
         ("loads", model.loads, tuple(load.name for load in kind.loads)),

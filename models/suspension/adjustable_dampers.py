@@ -37,6 +37,7 @@ class Adjustable:
         damper: limits of the damper.
         nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
+        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel.
     """
 
     force: str
@@ -44,6 +45,7 @@ class Adjustable:
     damper: Damper
     nominal: float
     standing: ForceCurve | None = None
+    ratio: float = 1.0
 
     @property
     def coefficient(self) -> str:
@@ -129,7 +131,8 @@ def adjustable(
                 f"{part.damping} = {nominal:g} N s/m, which acts if no force is commanded, is not among the "
                 f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
             )
-        placed.append(Adjustable(part.force, part.ending, damper, nominal, _standing(damper, nominal, curves.get(part.damping))))
+        standing = _standing(damper, nominal, curves.get(part.damping))
+        placed.append(Adjustable(part.force, part.ending, damper, nominal, standing, part.motion_ratio(parameters)))
         _check_takes(part.damping, placed[-1])
         pairs = [dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
@@ -189,7 +192,7 @@ def softest(
     curves: Sequence[SuspensionCurve], dampers: Sequence[Adjustable], pushed: Callable[[str], str]
 ) -> tuple[SuspensionCurve, ...]:
     """Returns the curves of suspensions, with `Adjustable.offset` for adjustable dampers; `pushed` has a deflection by force."""
-    bases = {pushed(damper.force): damper.offset for damper in dampers}
+    bases = {pushed(damper.force): offset.at_wheel(damper.ratio) for damper in dampers if (offset := damper.offset) is not None}
     replaced = []
     for curve in curves:
         base = bases.get(curve.deflection) if curve.damps else None

@@ -1,8 +1,11 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
 A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
-rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each
-side. An omitted side has no stop.
+rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, a table has the force at each point,
+and {bump, rebound} has one for each side. An omitted side has no stop.
+
+The table of a side with a stroke is over the compression of the stop. That of a side without one is over the compression of the
+suspension, and its force is 0 up to the stop. For rebound, negative compressions are the stop's, unless the table has none.
 
 A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
 leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
@@ -10,22 +13,99 @@ leaves out is taken from the section with more corners. So `[limits.rear]` may h
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import number_within
-from models.common.errors import InputError, listing, quoted
-from models.suspension import STOP_KEYS
+from models.common.checks import check_keys, number_within
+from models.common.errors import InputError, error_in, listing, quoted
+from models.suspension import STOP, STOP_KEYS, STOP_NAMES
+
+if TYPE_CHECKING:
+    from models.suspension.curve import ForceCurve, Pieces
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
+TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
+ROUNDING = 1e-9  # of the largest force of a table: less is 0
 SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
-Stiffness = float | tuple[float, ...]
+
+@dataclass(frozen=True)
+class StopTable:
+    """Force of a stop at some points, straight between them and beyond the last one.
+
+    Attributes:
+        compression: compression of the stop or of the suspension, ascending [m].
+        force: positive if it pushes back in compression [N].
+        fit_error: largest error of fewer points, over the largest force; None for the usual one.
+        note: remark of the table, a phrase.
+    """
+
+    compression: tuple[float, ...]
+    force: tuple[float, ...]
+    fit_error: float | None = None
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"table of {len(self.force)} points up to {max(map(abs, self.force)):g} N"
+
+    @cached_property
+    def curve(self) -> "ForceCurve":
+        """The force over the compression of the stop, 0 before its first point."""
+        from models.suspension.curve import ForceCurve
+        from models.suspension.curve_reading import as_lines
+
+        x, force, words = as_lines(np.array(self.compression), np.array(self.force), self.fit_error)
+        return ForceCurve(np.array([-1.0, *x]), np.array([0.0, *force]), 0.0, words)
+
+
+@lru_cache(maxsize=64)
+def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None":
+    """Returns the stop of a side from a table; None if a table without a stroke has no force there.
+
+    Args:
+        table: table over the compression of the stop, or of the suspension without a stroke.
+        sign: sign of the side's deflection.
+        stroke: travel to the beginning of the stop [m]; None if the table contains it.
+
+    Raises:
+        InputError: the stop touches at rest, or elsewhere than the stroke says, or it pulls.
+    """
+    u, force = np.array(table.compression), np.array(table.force)
+    if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
+        u, force = -u[::-1], -force[::-1]
+    if u[0] < 0 < u[-1] and 0.0 not in u:
+        i = int(np.searchsorted(u, 0.0))
+        u, force = np.insert(u, i, 0.0), np.insert(force, i, np.interp(0.0, u, force))
+    force = np.where(np.abs(force) <= ROUNDING * np.abs(force).max(), 0.0, force)[u >= 0]
+    u = u[u >= 0]
+    for i in np.flatnonzero(force < 0)[:1].tolist():
+        raise InputError(f"its table pulls with {-force[i]:.6g} N at {u[i]:g} m; give forces that push back")
+    if not force.any():
+        if stroke is None:
+            return None
+        raise InputError("its table has no force on this side; give it over the compression of the stop")
+    first = int(np.flatnonzero(force)[0]) - 1
+    if first < 0 or (stroke is None and not u[first]):
+        raise InputError(
+            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point of contact before; "
+            "begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = [22e3, { ... }]"
+        )
+    if stroke is not None and u[first]:
+        raise InputError(f"its table has a gap of {u[first]:g} m, and suspension_stroke is {stroke:g} m; omit one of them")
+    if force[-1] < force[-2]:
+        raise InputError(f"its force falls to {force[-1]:.6g} N at its end, as it goes on from there; end flat or rising")
+    gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
+    cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
+    return Stop(gap if stroke is None else stroke, cut)
+
+
+Stiffness = float | tuple[float, ...] | StopTable
 
 
 @dataclass(frozen=True)
@@ -42,19 +122,38 @@ class Stop:
 
     Attributes:
         stroke: travel from rest to its beginning [m]; infinite without a stop.
-        stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3].
+        stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
     """
 
     stroke: float
-    stiffness: tuple[float, float, float]
+    stiffness: tuple[float, float, float] | StopTable
+
+    @property
+    def pushes(self) -> bool:
+        """True if it pushes back at all."""
+        return isinstance(self.stiffness, StopTable) or any(self.stiffness)
+
+    def at_wheel(self, ratio: float) -> "Stop":
+        """Returns the stop at the wheel: r times its force at r times the compression there."""
+        law = self.stiffness
+        if isinstance(law, StopTable):
+            both = (law.compression, 1 / ratio), (law.force, ratio)
+            compression, force = (tuple(factor * x for x in values) for values, factor in both)
+            return Stop(self.stroke / ratio, replace(law, compression=compression, force=force))
+        first, second, third = law
+        return Stop(self.stroke / ratio, (first * ratio**2, second * ratio**3, third * ratio**4))
 
     def acts(self, beyond: Array) -> Array:
         """Returns its force [N] at a compression [m], shape (...)."""
+        if isinstance(self.stiffness, StopTable):
+            return self.stiffness.curve(beyond)
         first, second, third = self.stiffness
         return beyond * (first + beyond * (second + beyond * third))
 
     def work(self, beyond: Array) -> Array:
         """Returns its stored energy [J] at a compression [m], shape (...)."""
+        if isinstance(self.stiffness, StopTable):
+            return self.stiffness.curve.work(beyond)
         first, second, third = self.stiffness
         return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
 
@@ -72,15 +171,20 @@ class Stops:
         both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
+    def at_wheel(self, ratio: float) -> "Stops":
+        """Returns the stops that act so at the wheel, through a motion ratio."""
+        return self if ratio == 1 else Stops(self.bump.at_wheel(ratio), self.rebound.at_wheel(ratio))
+
     @property
     def acts(self) -> bool:
         """True if they push back at all."""
-        return any(any(stop.stiffness) for stop in (self.bump, self.rebound))
+        return self.bump.pushes or self.rebound.pushes
 
     @property
     def alike(self) -> bool:
         """True if one spring with a dead band replaces both: its force is odd, without x^2."""
-        return self.bump.stiffness == self.rebound.stiffness and not self.bump.stiffness[1]
+        bump, rebound = self.bump.stiffness, self.rebound.stiffness
+        return bump == rebound and not isinstance(bump, StopTable) and not bump[1]
 
     def pull(self, deflection: Array) -> Array:
         """Returns the force that pulls body and wheel together [N], at deflections from rest [m], shape (...)."""
@@ -97,19 +201,33 @@ class Stops:
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
         """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).
 
+        Stops with tables have `pieces` instead.
+
         Args:
             rest: length of the suspension at rest [m].
         """
         low, high = rest - self.bump.stroke, rest + self.rebound.stroke
-        if self.alike:
+        if self.alike and not isinstance(self.bump.stiffness, StopTable):
             return {"stop": ((low, high), self.bump.stiffness)}
-        first, second, third = self.bump.stiffness
-        # Beyond the bump's end the spring's x is below 0.
-        both = {
-            "stop_bump": ((low, SLACK), (first, -second, third)),
-            "stop_rebound": ((-SLACK, high), self.rebound.stiffness),
-        }
-        return {name: both[name] for side in self.sides if (name := f"stop_{side}")}
+        springs = {}
+        for side, (sign, stop) in self.sides.items():
+            if not isinstance(stop.stiffness, StopTable):
+                first, second, third = stop.stiffness
+                # Beyond the bump's end the spring's x is below 0.
+                slack = (low, SLACK) if sign < 0 else (-SLACK, high)
+                springs[f"stop_{side}"] = (slack, (first, sign * second, third))
+        return springs
+
+    @property
+    def pieces(self) -> "dict[str, Pieces]":
+        """The pieces of the force that pulls together, over the deflection, of each side with a table."""
+        pieces = {}
+        for side, (sign, stop) in self.sides.items():
+            if isinstance(stop.stiffness, StopTable):
+                own = stop.stiffness.curve.pieces
+                bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
+                pieces[f"stop_{side}"] = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])
+        return pieces
 
     @property
     def words(self) -> str:
@@ -118,7 +236,11 @@ class Stops:
             where = f"±{self.bump.stroke:g} m"
         else:
             where = " and ".join(f"{sign * stop.stroke:+g} m in {side}" for side, (sign, stop) in self.sides.items())
-        progressive = any(stop.stiffness[1:] != (0.0, 0.0) for stop in (self.bump, self.rebound))
+        laws = [stop.stiffness for _, stop in self.sides.values()]
+        if tables := [law for law in laws if isinstance(law, StopTable)]:
+            notes = "".join(f", {law.note}" for law in dict.fromkeys(tables) if law.note)
+            return f"bump stops with tables at {where}{notes}"
+        progressive = any(law[1:] != (0.0, 0.0) for law in laws if not isinstance(law, StopTable))
         return f"{'progressive ' * progressive}bump stops at {where}"
 
 
@@ -132,7 +254,7 @@ def read_stroke(where: str, value: Any) -> float | StopPair:
 
 
 def read_stiffness(where: str, value: Any) -> Stiffness | StopPair:
-    """Reads a stiffness [N/m], up to three coefficients, or these for each side.
+    """Reads a stiffness [N/m], up to three coefficients, a table, or these for each side.
 
     Raises:
         InputError: the value is not allowed.
@@ -140,25 +262,36 @@ def read_stiffness(where: str, value: Any) -> Stiffness | StopPair:
     return _of_sides(where, value, _stiffness)
 
 
-def stops(stroke: float | StopPair, stiffness: Stiffness | StopPair) -> Stops:
-    """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`."""
-    lengths = [getattr(stroke, side) if isinstance(stroke, StopPair) else stroke for side in SIDES]
-    springs = [getattr(stiffness, side) if isinstance(stiffness, StopPair) else stiffness for side in SIDES]
-    return Stops(
-        *(
-            Stop(math.inf, (0.0, 0.0, 0.0)) if length is None or spring is None else Stop(length, _coefficients(spring))
-            for length, spring in zip(lengths, springs, strict=True)
-        )
-    )
+def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> Stops:
+    """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`.
+
+    Raises:
+        InputError: a table is not that of a stop; see `stop_of`.
+    """
+    both = []
+    for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
+        length, spring = _of_side(stroke, side), _of_side(stiffness, side)
+        stop = None
+        if isinstance(spring, StopTable):
+            with error_in(f"{side}:"):
+                stop = stop_of(spring, sign, length)
+        elif length is not None and spring is not None:
+            stop = Stop(length, _coefficients(spring))
+        both.append(stop or Stop(math.inf, (0.0, 0.0, 0.0)))
+    return Stops(*both)
 
 
-def _coefficients(stiffness: Stiffness) -> tuple[float, float, float]:
+def _of_side(value: Any, side: str) -> Any:
+    return getattr(value, side) if isinstance(value, StopPair) else value
+
+
+def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, float]:
     first, second, third = (*(stiffness if isinstance(stiffness, tuple) else (stiffness,)), 0.0, 0.0)[:MOST]
     return first, second, third
 
 
 def _of_sides(where: str, value: Any, read: Any) -> Any:
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping) or {"force", "file"} & set(value):
         return read(where, value)
     given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
     if not given or not set(given) <= set(SIDES):
@@ -169,6 +302,9 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
 
 
 def _stiffness(where: str, value: Any) -> Stiffness:
+    if isinstance(value, Mapping):
+        with error_in(f"{where}:" if where.startswith("[") else f"[limits] {where}:"):
+            return _stop_table(value)
     if not isinstance(value, (list, tuple)):
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
     if not 1 <= len(value) <= MOST:
@@ -179,6 +315,22 @@ def _stiffness(where: str, value: Any) -> Stiffness:
     units = ("N/m", "N/m2", "N/m3")
     least = (SMALLEST, 0.0, 0.0)
     return tuple(number_within(f"{where}[{i}]", k, least[i], LARGEST, units[i]) for i, k in enumerate(value))
+
+
+def _stop_table(value: Mapping[str, Any]) -> StopTable:
+    from models.suspension.curve_reading import DEFLECTION, points
+
+    check_keys("", value, TABLE_KEYS)
+    if "file" in value:
+        raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
+    if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
+        raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
+    # A log has tuples.
+    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, DEFLECTION)
+    x, force = -x[::-1], -force[::-1]
+    table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
+    _ = table.curve if np.abs(force).max() > 0 else None  # it can be fewer lines
+    return table
 
 
 READERS: Mapping[str, Callable[[str, Any], Any]] = dict(zip(STOP_KEYS, (read_stroke, read_stiffness), strict=True))
@@ -215,6 +367,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
     """
     if section and not corners:
         raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
+    section = _with_one_name("[limits]", section)
     common, known = {name: value for name, value in section.items() if name in STOP_KEYS}, places_of(corners)
     places = [_place("[limits]", "", common)]
     for name, value in section.items():
@@ -222,16 +375,18 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             continue
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
+            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_NAMES)}")
         for key in value:
-            if key not in STOP_KEYS:
+            if key not in STOP_NAMES:
                 raise InputError(
-                    f"[limits.{name}] unknown key {key!r}; known: {listing(STOP_KEYS)}; the rest is of all suspensions"
+                    f"[limits.{name}] unknown key {key!r}; known: {listing(STOP_NAMES)}; the rest is of all suspensions"
                 )
+        value = _with_one_name(f"[limits.{name}]", value)
         places.append(_place(f"[limits.{name}]", name, value))
     for corner in corners:
         stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
-        if (stroke is None) != (stiffness is None):
+        polynomial = any(not isinstance(_of_side(stiffness, side), StopTable | None) for side in SIDES)
+        if stiffness is None if stroke is not None else polynomial:
             where = f" of {corner}" if corner and len(places) > 1 else ""
             raise InputError(
                 f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
@@ -241,6 +396,9 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
                 if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
                     where = f" of {corner}" if corner else ""
                     raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness does not; give it there, too")
+        with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
+            if isinstance(stiffness, StopTable) and not stops(stroke, stiffness).sides:
+                raise InputError("has a table without a force against bump or rebound")
     return tuple(places)
 
 
@@ -251,9 +409,10 @@ def places_of(corners: Sequence[str]) -> tuple[str, ...]:
 
 
 def stops_at(places: Sequence[Place], corner: str) -> Stops | None:
-    """Returns the stops of a corner, or None if it has no stroke. Without a stiffness they push back with nothing."""
+    """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
     stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
-    return None if stroke is None else stops(stroke, stiffness or 0.0)
+    pair = stops(stroke, stiffness or 0.0)
+    return pair if pair.sides else None
 
 
 def stop_words(by_corner: Mapping[str, Stops | None]) -> list[str]:
@@ -263,6 +422,13 @@ def stop_words(by_corner: Mapping[str, Stops | None]) -> list[str]:
         if stops is not None:
             alike.setdefault(stops, []).append(corner)
     return [stops.words + _where(corners, list(by_corner)) for stops, corners in alike.items()]
+
+
+def _with_one_name(where: str, section: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a section with `stop_stiffness` instead of `stop`, its name for tables."""
+    if STOP in section and STOP_KEYS[1] in section:
+        raise InputError(f"{where} has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
+    return {STOP_KEYS[1] if name == STOP else name: value for name, value in section.items()}
 
 
 def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:

@@ -52,12 +52,16 @@ class ForceCurve:
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of its line in linear analysis [N s/m or N/m].
         words: description of the curve, a phrase.
+        at_rest: force of its table at rest, which is not part of the curve [N].
+        note: remark of its table, a phrase.
     """
 
     x: Array
     force: Array
     slope: float
     words: str
+    at_rest: float = 0.0
+    note: str = ""
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""
@@ -66,6 +70,10 @@ class ForceCurve:
     def scaled(self, factor: float) -> "ForceCurve":
         """Returns the curve with all forces multiplied by a factor."""
         return self if factor == 1 else replace(self, force=factor * self.force, slope=factor * self.slope)
+
+    def at_wheel(self, ratio: float) -> "ForceCurve":
+        """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
+        return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     @cached_property
     def slopes(self) -> Array:

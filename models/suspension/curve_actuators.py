@@ -16,6 +16,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.suspension.adjustable_dampers import Adjustable
+from models.suspension.curve import Pieces
 from models.suspension.fitted_curves import SuspensionCurve
 
 # pyright: reportAttributeAccessIssue=false
@@ -55,17 +56,27 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
             motor.gainprm[0] = -1.0  # its control is the pull
             continue
         length = 0.0 if fit.damps else rest[fit.tendon]
-        pieces = curve.pieces
-        for i in range(len(pieces.slope)):
-            actuator = spec.add_actuator(name=f"{prefix}{fit.over.name}_{fit.tendon}_{i + 1}", target=fit.tendon)
-            actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
-            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            slope, start = float(pieces.slope[i]), float(pieces.start[i])
-            # A curve pulls together where it is positive, and an actuator's force stretches its tendon.
-            along = [0.0, -slope] if fit.damps else [-slope, 0.0]
-            actuator.biasprm[:3] = [slope * (start + length), *along]
-            actuator.forcelimited = True
-            actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -UNBOUNDED, UNBOUNDED)
+        add_pieces(spec, f"{prefix}{fit.over.name}_{fit.tendon}", fit.tendon, curve.pieces, length, fit.damps)
+
+
+def add_pieces(spec: Any, name: str, tendon: str, pieces: Pieces, length: float, damps: bool = False) -> None:
+    """Adds pieces of a force that pulls a tendon's ends together to an `MjSpec`.
+
+    Args:
+        name: beginning of the actuators' names.
+        length: length of the tendon from which the pieces are measured [m]; 0 if they are over its speed.
+        damps: True if they are over its speed.
+    """
+    for i in range(len(pieces.slope)):
+        actuator = spec.add_actuator(name=f"{name}_{i + 1}", target=tendon)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        slope, start = float(pieces.slope[i]), float(pieces.start[i])
+        # A curve pulls together where it is positive, and an actuator's force stretches its tendon.
+        along = [0.0, -slope] if damps else [-slope, 0.0]
+        actuator.biasprm[:3] = [slope * (start + length), *along]
+        actuator.forcelimited = True
+        actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -UNBOUNDED, UNBOUNDED)
 
 
 def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
@@ -118,7 +129,7 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
         parts = [actuator]
         for number, (knot, slope, side) in enumerate(ramps, 1):
             ramp = spec.add_actuator(name=f"{prefix}{placed.force}_{number}", target=tendon)
-            ramp.trntype = mujoco.mjtTrn.mjTRN_TENDON
+            ramp.trntype, ramp.gear[0] = mujoco.mjtTrn.mjTRN_TENDON, placed.ratio
             ramp.gaintype, ramp.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
             ramp.gainprm[:3] = [slope * knot, 0.0, -slope]
             ramp.biasprm[:3] = [-placed.low * slope * knot, 0.0, placed.low * slope]

@@ -1,4 +1,4 @@
-"""Curve files, `file = "damper.csv"` in `[curves]` or `[actuators]`: the table replaces the name when a vehicle file is read.
+"""Curve files, `file = "damper.csv"` or `stop = "bump.csv"`: the table replaces the name when a vehicle file is read.
 
 So a vehicle that was read needs no other files, as with laws and families. Two formats are known: CSV, whose header names
 quantity and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the
@@ -14,21 +14,26 @@ from typing import Any
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, reading
 from models.common.quantities import QUANTITIES, Heading
-from models.common.table import NumberTable, find_table, table_text
+from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import unit_size
+from models.suspension import RATIO, STOP, STOP_NAMES
+from models.suspension.measured_loop import mean_of_loop
 from models.suspension.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
+ARGUMENTS = ("velocity", "deflection")
+ROLES = {"force": {"force", "load"}, "velocity": {"velocity", "speed"}, "deflection": {"deflection"}}  # words of each column
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
 
 
 def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
-    """Yields the tables of a vehicle file's curves that name files.
+    """Yields the tables of a vehicle file's curves and stops that name files.
 
     Args:
         data: tables of the vehicle file.
@@ -37,98 +42,165 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
     Raises:
         InputError: a file is missing, or does not contain a curve; the message names it.
     """
-    for path, entry in _with_files({name: data.get(name) for name in ("curves", "actuators")}, ()):
+    for path, entry in _with_files(data):
+        sources: list[tuple[str, Path]] = []
+        whole, key = (path, path[-1]) if isinstance(entry, (list, str)) else ((*path, "file"), "")
         try:
-            table, comment, file = _read(entry, folder, _argument(path))
+            if isinstance(entry, str):
+                new: Any = _read({"file": entry}, folder, path, sources)
+            elif isinstance(entry, list):
+                new = [_without_file(one) | _read(one, folder, path, sources) if _named(one) else one for one in entry]
+            else:
+                new = _read(entry, folder, path, sources)
         except InputError as error:
             raise InputError(f"[{'.'.join(path[:-1])}] {path[-1]}: {error}") from error
-        yield Replacement((*path, "file"), table, comment, file)
+        comment, files = "; ".join(source for source, _ in sources), tuple(file for _, file in sources)
+        yield Replacement(whole, {key: new} if key else new, comment, files)
 
 
-def _with_files(tables: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Yields the tables below a path that name files, each with its own path."""
-    for name, entry in tables.items():
-        if isinstance(entry, dict) and "file" in entry:
-            yield (*path, name), entry
-        elif isinstance(entry, dict):
-            yield from _with_files(entry, (*path, name))
+def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yields the entries of curves, dampers and stops that name files, each with its path."""
+    for section in ("curves", "actuators"):
+        yield from _naming(data.get(section), (section,))
+    limits = data.get("limits")
+    places = {(): limits} | ({(name,): one for name, one in limits.items()} if isinstance(limits, dict) else {})
+    for place, section in places.items():
+        for key in STOP_NAMES:
+            if isinstance(section, dict) and key in section:
+                yield from _naming(section[key], ("limits", *place, key), texts=key == STOP)
+
+
+def _naming(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yields the entries at and below a path that name files; with `texts` a text is the name of a file."""
+    if _named(entry) or (texts and isinstance(entry, str)) or (isinstance(entry, list) and any(map(_named, entry))):
+        yield path, entry
+    elif isinstance(entry, dict):
+        for name, one in entry.items():
+            yield from _naming(one, (*path, name), texts)
+
+
+def _named(entry: Any) -> bool:
+    return isinstance(entry, dict) and "file" in entry
+
+
+def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key != "file"}
 
 
 def _argument(path: tuple[str, ...]) -> str:
-    """Returns the quantity over which an entry's force is; empty for a parameter of an own name."""
+    """Returns the quantity over which an entry's force is, or "ratio"; empty for a parameter of an own name."""
+    if path[0] == "limits":
+        return "compression"
     if path[0] == "actuators" or "damping" in path[-1]:
         return "velocity"
+    if "motion_ratio" in path[-1]:
+        return RATIO
     return "deflection" if "stiffness" in path[-1] else ""
 
 
-def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, Any], str, Path]:
-    """Returns the table of a file, a comment with its source, and the file.
+def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources: list[tuple[str, Path]]) -> dict[str, Any]:
+    """Returns the table of a file, and adds a comment with its source and its path to the sources."""
+    name = entry["file"]
+    if not isinstance(name, str) or not name:
+        raise InputError(f"file = {quoted(name)} is not the name of a file; {GIVE}")
+    if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
+        raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
+    file, over = folder / name, _argument(path)
+    with reading(file, "curve", GIVE):
+        content = file.read_bytes()
+        text = table_text(file)
+        if name.lower().endswith(".dpr"):
+            table = _of_dpr(text)
+        else:
+            table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
+        if over and over not in table:
+            other = "deflection" if over == RATIO else "force"
+            raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
+    sources.append((origin(name, content), file))
+    return table
+
+
+def _of_columns(text: str, over: str) -> dict[str, Any]:
+    """Returns a table in SI units, positive in extension; that of a stop over its compression, positive in compression.
+
+    The words of the headings decide the signs. The sheet of a damper dynamometer has speeds, and forces in compression and in
+    rebound: F(v) is the rebound force at v, and F(-v) is minus the compression force. Points that go round are a measured loop.
 
     Args:
-        over: "velocity" or "deflection", which the file must have; empty for any.
+        over: "velocity", "deflection", or "compression" for a stop; empty for the first two.
     """
-    file = entry["file"]
-    if not isinstance(file, str) or not file:
-        raise InputError(f"file = {quoted(file)} is not the name of a file; {GIVE}")
-    if others := [key for key in ("velocity", "deflection", "force") if key in entry]:
-        raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
-    path = folder / file
-    with reading(path, "curve", GIVE):
-        content = path.read_bytes()
-        text = table_text(path)
-        table = _of_dpr(text) if file.lower().endswith(".dpr") else surface_columns(text, GIVE) or _of_csv(text)
-        if over and over not in table:
-            raise InputError(f"has the columns {listing(table)}; give {over} and force")
-    return table, origin(file, content), path
-
-
-def _of_csv(text: str) -> dict[str, list[float]]:
-    """Returns columns by their headings, in SI units."""
     table = find_table(text, GIVE)
-    if (sided := _by_side(table)) is not None:
-        return sided
-    columns = table.quantities(("velocity", "deflection", "force"))
-    if len(columns) != 2 or "force" not in columns:
-        raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
-    return {name: column.tolist() for name, column in columns.items()}
+    headings = table.headings([QUANTITIES[name].si for name in ROLES])
+    roles = [_role(heading) for heading in headings]
+    wanted = "deflection" if over == "compression" else over or ("velocity" if "velocity" in roles else "deflection")
+    known = [heading for heading, role in zip(headings, roles, strict=True) if role == wanted]
+    forces = [heading for heading, role in zip(headings, roles, strict=True) if role == "force"]
+    if not known and {*roles} & ({*ARGUMENTS} - {wanted}):
+        raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
+    sheet = sorted(one.direction for one in forces) == [-1, 1]
+    told = {wanted, "compression"} if over == "compression" else {wanted}
+    if not sheet and not any(one.direction or told & one.words for one in headings):
+        asked = next((one for one, role in zip(headings, roles, strict=True) if role != "force"), headings[0])
+        raise InputError(
+            f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
+            f"above it ({wanted} is positive in extension)"
+        )
+    known = [one for one in known if one.direction or told & one.words] or known
+    if len(known) != 1 or len(forces) != 1 + sheet:
+        raise InputError(f"has the columns {listing(one.name for one in headings)}; give two, {over or wanted} and force")
+    used = [known[0], *sorted(forces, key=lambda one: one.direction)]
+    numbers = table.numbers([one.column - 1 for one in used])[0]
+    x, *values = (numbers * [used[0].scale(wanted), *(one.scale("force") for one in used[1:])]).T
+    if sheet:
+        return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True))
+    # A stop's own compression may have any other word before it: rebound stop compression.
+    named = -1 if over == "compression" and "compression" in used[0].words else used[0].direction
+    towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
+    x, force, note = towards * x, (named or used[1].direction or 1) * values[0], {}
+    if (np.diff(x) <= 0).any() and (np.diff(x) >= 0).any():
+        loop = mean_of_loop(x, force, QUANTITIES[wanted].si, at_rest=wanted == "velocity")
+        if loop is not None:
+            x, force, note["note"] = loop
+    if x[0] > x[-1]:
+        x, force = x[::-1], force[::-1]
+    if over == "compression":
+        wanted, x, force = over, -x[::-1], -force[::-1]
+    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist(), **note}  # no -0.0
 
 
-def _by_side(table: NumberTable) -> dict[str, list[float]] | None:
-    """Returns a table whose headings name compression or extension, in SI units and positive in extension; None for others.
+def _of_ratio(text: str) -> dict[str, Any]:
+    """Returns a motion ratio over travel in SI units, positive in extension."""
+    table = find_table(text, "give a .csv file with a header such as deflection [mm], ratio")
+    headings = table.headings([QUANTITIES["deflection"].si])
+    ratios = [one for one in headings if RATIO in one.words]
+    travels = [one for one in headings if one.direction or "deflection" in one.words]
+    if len(ratios) != 1 or len(travels) != 1:
+        raise InputError(
+            f"has the columns {listing(one.name for one in headings)}; give one called ratio, and one called deflection, "
+            "which is positive in extension, or compression"
+        )
+    numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
+    x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]
+    order = np.argsort(x, kind="stable")
+    return {"deflection": x[order].tolist(), RATIO: numbers[order, 1].tolist()}
 
-    The sheet of a damper dynamometer has speeds, and forces in compression and in rebound: F(v) is the rebound force at v, and
-    F(-v) is minus the compression force. In a table over compression, both columns change sign.
-    """
-    headings = table.headings([QUANTITIES[name].si for name in ("velocity", "deflection", "force")])
-    forces = [bool(unit_size(heading.unit, "N")) for heading in headings]
-    sides = [_side(heading) for heading in headings]
-    if not any(sides) or len(headings) not in (2, 3):
-        return None
-    numbers, argument = table.numbers()[0], forces.index(False) if False in forces else 0
-    over = "velocity" if unit_size(headings[argument].unit, "m/s") else "deflection"
-    values = numbers * [one.scale("force" if is_force else over) for one, is_force in zip(headings, forces, strict=True)]
-    if len(headings) == 2 and forces.count(True) == 1:
-        sign = sides[argument] or sides[1 - argument]
-        x, force = sign * values.T[[argument, 1 - argument]]
-        order = np.argsort(x, kind="stable")
-        return {over: x[order].tolist(), "force": force[order].tolist()}
-    if forces.count(True) != 2 or sorted(side for side, is_force in zip(sides, forces, strict=True) if is_force) != [-1, 1]:
-        return None
-    speed, rebound, compression = (values[:, i] for i in (argument, sides.index(1), sides.index(-1)))
+
+def _role(heading: Heading) -> str:
+    """Returns "force", "velocity" or "deflection" for a column, from its words or its unit; empty for others."""
+    for role, words in ROLES.items():
+        if heading.words & words:
+            return role
+    by_unit = next((role for role in ROLES if unit_size(heading.unit, QUANTITIES[role].si)), "")
+    return by_unit or ("deflection" if heading.direction and not heading.unit else "")
+
+
+def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[float], list[float]]:
+    """Returns velocities and forces of a dynamometer's sheet."""
     if (speed < 0).any():
         raise InputError("has a speed below 0; give speeds from 0 on, with the forces in compression and in rebound")
     moving = speed > 0
-    v = np.concatenate([-speed[moving][::-1], [0.0], speed[moving]])
-    return {
-        over: v.tolist(),
-        "force": np.concatenate([-np.abs(compression[moving])[::-1], [0.0], np.abs(rebound[moving])]).tolist(),
-    }
-
-
-def _side(heading: Heading) -> int:
-    """Returns -1 for a heading that names compression, 1 for one that names extension, and 0 for others."""
-    words = set(re.findall(r"[a-z]+", heading.name.lower()))
-    return -1 if words & {"compression", "bump", "jounce"} else int(bool(words & {"extension", "rebound", "droop"}))
+    v, pushing, pulling = speed[moving], np.abs(compression[moving]), np.abs(rebound[moving])
+    return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
 
 
 def _of_dpr(text: str) -> dict[str, list[float]]:

@@ -5,8 +5,8 @@ piecewise linear function, J. Inf. Process. 9, 159-162, with points of the curve
 error at the points is the error everywhere.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,7 @@ SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
 CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
 SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistake
+MOST_SLOPE, MOST_PRELOAD = 1e12, 1e7  # N/m or N s/m, and N
 SMALLEST_FRICTION, LARGEST_FRICTION = 1e-3, 1e5  # N
 SMALLEST_CREEP, LARGEST_CREEP = 1e-4, 1.0  # m/s
 
@@ -97,15 +98,19 @@ class Argument:
 
 VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s")
 DEFLECTION = Argument("deflection", "m", 5.0, "mm")
+COMPRESSION = "compression"
 FRICTION = ("friction", "friction_velocity")
 
 
-def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, ForceCurve]:
+def read_curves(
+    section: Mapping[str, Any], parameters: Mapping[str, Argument], load: Callable[[str], float | None] = lambda name: None
+) -> dict[str, ForceCurve]:
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
         section: the section, with tables instead of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
+        load: parameter -> static load of its spring [N], or None if it is unknown.
 
     Raises:
         InputError: an entry is not a curve, or not one that a suspension can have.
@@ -118,38 +123,141 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
             )
         with error_in(f"[curves] {name}:"):
             surface = parameters[name] is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
-            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name])
+            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
     return curves
 
 
 def curve_keys(over: Argument) -> tuple[str, ...]:
     """Returns the keys of a curve over this argument."""
-    return over.name, "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ())
+    return (*_names(over), "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ("preload",)), "note")
 
 
-def curve_of(entry: Any, over: Argument) -> ForceCurve:
-    """Returns a curve from its table.
+def _names(over: Argument) -> tuple[str, ...]:
+    """Returns the possible names of a table's argument; a spring's or a stop's deflection is minus its compression."""
+    return (over.name, COMPRESSION) if over is DEFLECTION else (over.name,)
+
+
+def curve_of(entry: Any, over: Argument, load: Callable[[], float | None] = lambda: None) -> ForceCurve:
+    """Returns a curve from its table, or from a list of tables and slopes that add up.
+
+    Args:
+        load: function that returns the static load of the spring [N], or None if it is unknown.
 
     Raises:
         InputError: the entry is not a curve, or not one that a suspension can have.
     """
+    entries = entry if isinstance(entry, list) else [entry]
+    slopes = [number_within("a slope", one, 0.0, MOST_SLOPE) for one in entries if is_finite(one) and entries is entry]
+    tables = [_table(one, over) for one in entries if not is_finite(one) or entries is not entry]
+    if not tables:
+        raise InputError(f"has {len(slopes)} numbers and no table; give their sum in [parameters]")
+    # The one with preload = true carries what the others leave.
+    tables.sort(key=lambda one: one.get("preload") is True)
+    parts: list[tuple[Array, Array, float]] = []
+    for one in tables:
+        preload = one.get("preload", False)
+        if preload is True:
+            whole = load()
+            if whole is None or any(each is not one and each.get("preload") is True for each in tables):
+                raise InputError("the load of this spring is unknown; give preload in N, and true for one table at most")
+            preload = whole + sum(at_rest for _, _, at_rest in parts)
+        elif preload is not False:
+            number_within("preload", preload, SMALLEST_FORCE, MOST_PRELOAD, "N")
+        parts.append(_part(one, over, preload, alone=len(entries) == 1))
+    x, force, _ = parts[0]
+    if len(entries) > 1:
+        x = _knots([x for x, _, _ in parts])
+        force = sum(slopes) * x + sum(ForceCurve(*part[:2], 0.0, "")(x) for part in parts)
+        force = np.where(x == 0, 0.0, force)
+    errors = [one["fit_error"] for one in tables if "fit_error" in one]
+    lines, force, words = as_lines(x, force, min(errors) if len(errors) > 1 else errors[0] if errors else None)
+    words = f"sum of {len(entries)} elements: {words}" if len(entries) > 1 else words
+    curve = _checked(ForceCurve(lines, force, slope_at_rest(lines, force), words), over)
+    for one in tables:
+        curve = _with_friction(curve, one) if set(FRICTION) & set(one) else curve
+    note = "; ".join(str(one["note"]) for one in tables if "note" in one)
+    words = f"{curve.words}; {note}" if note else curve.words
+    return replace(curve, words=words, note=note, at_rest=sum(at_rest for _, _, at_rest in parts))
+
+
+def _table(entry: Any, over: Argument) -> Mapping[str, Any]:
+    """Returns the table of a curve, its keys checked."""
     what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
     if not isinstance(entry, Mapping):
         raise InputError(f"{quoted(entry)} is not a curve; give {what}")
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     check_keys("", entry, curve_keys(over))
-    for key in (over.name, "force"):
+    if len(found := [key for key in _names(over) if key in entry]) > 1:
+        raise InputError(f"has {listing(found)}; omit one of them")
+    for key in (found[0] if found else over.name, "force"):
         if key not in entry:
             raise InputError(f"{key} is missing; give {what}")
-    x, force = _points(entry[over.name], over.name), _points(entry["force"], "force")
+    return entry
+
+
+def _part(entry: Mapping[str, Any], over: Argument, preload: float, alone: bool) -> tuple[Array, Array, float]:
+    """Returns the points of one table relative to rest, and its force at rest.
+
+    Args:
+        preload: load that it carries at rest, where it then is [N]; 0 if it is at rest at 0.
+        alone: False for one of several tables, which may be a stop on one side of rest.
+    """
+    x, force = points(entry, over)
+    if preload:
+        x = x - _carrying(x, force, preload)
+    if not alone and not x[0] < 0 < x[-1] and abs(force[i := 0 if x[0] >= 0 else -1]) <= ROUNDING * np.abs(force).max():
+        side = np.array([-x[-1], *[0.0] * bool(x[0] > 0)]) if i == 0 else np.array([*[0.0] * bool(x[-1] < 0), -x[0]])
+        parts = ((side, x), (0 * side, force))
+        x, force = (np.concatenate(part if i == 0 else part[::-1]) for part in parts)
+    _check_both_sides(x, over)
+    return _from_rest(x, force, over)
+
+
+def _carrying(x: Array, force: Array, load: float) -> float:
+    """Returns the deflection at which a spring carries a load."""
+    left = force + load
+    for i in np.flatnonzero((left[:-1] <= 0) & (left[1:] >= 0))[:1].tolist():
+        return float(np.interp(0.0, left[i : i + 2], x[i : i + 2]))
+    raise InputError(
+        f"its table carries {max(0.0, float(-force.max())):.6g} to {max(0.0, float(-force.min())):.6g} N, and {load:.6g} N rest "
+        "on it; extend the table, or correct preload"
+    )
+
+
+def _knots(parts: Sequence[Array]) -> Array:
+    """Returns the points of several curves, ascending, without those that rounding alone keeps apart; rest stays."""
+    x = np.unique(np.concatenate(parts))
+    close = 2 * CLOSEST * (x[-1] - x[0])
+    x = x[(np.abs(x) > close) | (x == 0)]
+    return x[np.append(True, np.diff(x) > close)]
+
+
+def points(entry: Mapping[str, Any], over: Argument, of: str = "force") -> tuple[Array, Array]:
+    """Returns argument and force of a table, positive in extension; or argument and another quantity.
+
+    Raises:
+        InputError: a point is not a number, or the argument does not ascend, or is in a wrong unit.
+    """
+    if COMPRESSION in entry and over.name != COMPRESSION:
+        x, force = points(entry, replace(over, name=COMPRESSION), of)
+        return -x[::-1], (-force if of == "force" else force)[::-1]
+    x, force = _points(entry[over.name], over.name), _points(entry[of], of)
     if len(x) != len(force):
-        raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of force; give as many")
-    _check_argument(x, over)
-    x, force = _from_rest(x, force, over)
-    lines, force, words = _as_lines(x, force, entry.get("fit_error"))
-    curve = _checked(ForceCurve(lines, force, slope_at_rest(lines, force), words), over)
-    return _with_friction(curve, entry) if set(FRICTION) & set(entry) else curve
+        raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of {of}; give as many")
+    for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
+        raise InputError(
+            f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
+            f"{over.name}, each once"
+        )
+    for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
+    if max(-x[0], x[-1]) > over.largest:
+        raise InputError(
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g}, and at most {over.largest:g} {over.unit} is allowed; "
+            f"give {over.unit}, not {over.small}"
+        )
+    return x, force
 
 
 def _points(given: Any, name: str) -> Array:
@@ -169,32 +277,22 @@ def _points(given: Any, name: str) -> Array:
     return np.array(given, dtype=float)
 
 
-def _check_argument(x: Array, over: Argument) -> None:
-    for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
-        raise InputError(
-            f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
-            f"{over.name}, each once"
-        )
-    for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
-        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
+def _check_both_sides(x: Array, over: Argument) -> None:
     if not x[0] < 0 < x[-1]:
+        free = ", or preload = true for a table that begins at the free length" if over is DEFLECTION else ""
         raise InputError(
-            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
-            "compressed, above 0 where it extends"
+            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; give both sides of rest: below 0 where the "
+            f"suspension is compressed, above 0 where it extends{free}"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides"
         )
-    if max(-x[0], x[-1]) > over.largest:
-        raise InputError(
-            f"{over.name} goes from {x[0]:g} to {x[-1]:g}, and at most {over.largest:g} {over.unit} is allowed; "
-            f"give {over.unit}, not {over.small}"
-        )
 
 
-def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
-    """Returns the points with rest among them, and the forces relative to rest: a spring's without the weight that it carries."""
+def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, float]:
+    """Returns the points with rest among them, the forces without that at rest, a spring's weight, and the force at rest."""
+    x = np.where(np.abs(x) < CLOSEST * (x[-1] - x[0]), 0.0, x)
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
@@ -209,10 +307,10 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
     if 0.0 not in x:
         i = int(np.searchsorted(x, 0.0))
         x, force = np.insert(x, i, 0.0), np.insert(force, i, 0.0)
-    return x, np.where(x == 0, 0.0, force)
+    return x, np.where(x == 0, 0.0, force), at_rest
 
 
-def _as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]:
+def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]:
     """Returns the curve in as few straight lines as will do, and its description."""
     if fit_error is not None:
         number_within("fit_error", fit_error, SMALLEST_ERROR, LARGEST_ERROR, more=", a share of its largest force")
@@ -243,7 +341,7 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
             "its slope at rest is not above 0, and so it holds nothing up; give forces that rise with deflection, both positive "
-            "where the suspension stretches"
+            "where the suspension stretches, or add the spring to a stop, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:

@@ -8,6 +8,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
+from models.suspension.motion_ratio import RatioTable
 from models.suspension.surface import ForceSurface
 
 
@@ -44,6 +45,15 @@ class Suspended(Protocol):
         """The parameter of its damper; empty if it has no damper."""
         ...
 
+    @property
+    def ratio(self) -> str:
+        """The parameter of its motion ratio; empty if it has none."""
+        ...
+
+    def motion_ratio(self, parameters: Mapping[str, float]) -> float:
+        """Returns its motion ratio."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class SuspensionCurve:
@@ -54,7 +64,8 @@ class SuspensionCurve:
         tendon: name of the tendon in the MJCF.
         parameter: the parameter that it replaces.
         over: argument of the curve.
-        curve: the curve; its slope is the parameter's value.
+        curve: the curve at the wheel; its slope is the parameter's value times the square of the motion ratio.
+        ratio: motion ratio of the element.
     """
 
     deflection: str
@@ -62,6 +73,7 @@ class SuspensionCurve:
     parameter: str
     over: Argument
     curve: ForceCurve
+    ratio: float = 1.0
 
     @property
     def damps(self) -> bool:
@@ -88,23 +100,23 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
 
 def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
-    bent = {placed.parameter: placed.curve for placed in curves if placed.curve.bent}
+    bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
     return ", ".join(
         f"{name} {curve.slope:.4g} (elsewhere {curve.slope_range[0]:.4g} to {curve.slope_range[1]:.4g})"
         for name, curve in bent.items()
     )
 
 
-def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, ForceCurve]) -> dict[str, Any]:
-    """Returns `[parameters]` with the slopes at rest of the curves that replace some.
+def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> dict[str, Any]:
+    """Returns `[parameters]` with the slopes at rest of the curves that replace some, and motion ratios at rest.
 
     Raises:
         InputError: a parameter is given both ways.
     """
-    for name in curves:
+    for name in slopes:
         if name in parameters:
             raise InputError(f"{name} is in [parameters] and in [curves]; omit one: a curve has its slope at rest")
-    return {**parameters, **{name: curve.slope for name, curve in curves.items()}}
+    return {**parameters, **slopes}
 
 
 def fitted(
@@ -112,20 +124,30 @@ def fitted(
     curves: Mapping[str, ForceCurve],
     parameters: Mapping[str, float],
     dampers: Mapping[str, ForceCurve | None],
+    ratios: Mapping[str, RatioTable],
+    loads: Mapping[str, float],
 ) -> tuple[SuspensionCurve, ...]:
-    """Returns every suspension's curves, scaled to the vehicle's parameters.
+    """Returns every suspension's curves at the wheel, scaled to the vehicle's parameters.
 
     Args:
         dampers: the curves of adjustable dampers, by the suspension's deflection; None for a straight one.
+        ratios: motion ratios that change with travel, by parameter.
+        loads: the body's weight on each suspension [N], by its deflection.
     """
     placed = []
     for suspension in suspensions:
+        ratio, table = suspension.motion_ratio(parameters), ratios.get(suspension.ratio)
+        table = None if table is None or table.straight else table.scaled(ratio)
         for name, over in ((suspension.stiffness, DEFLECTION), (suspension.damping, VELOCITY)):
             if over is VELOCITY and suspension.deflection in dampers:
                 curve = dampers[suspension.deflection]
             else:
                 curve = curves.get(name)
                 curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
-            if curve is not None:
-                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve))
+            if table is not None and name in parameters:
+                curve = curve or table.line(parameters[name])
+                at_wheel = table.spring(curve, loads[suspension.deflection]) if over is DEFLECTION else table.damper(curve)
+                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, at_wheel, ratio))
+            elif curve is not None:
+                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve.at_wheel(ratio), ratio))
     return tuple(placed)

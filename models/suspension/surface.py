@@ -57,6 +57,15 @@ class ForceSurface(ForceCurve):
         multiple = replace(self, force=force, slope=factor * self.slope, table=table, base=self.base or self)
         return self if factor == 1 else multiple
 
+    def at_wheel(self, ratio: float) -> "ForceSurface":
+        """See `ForceCurve.at_wheel`."""
+        own = ("velocities", "deflections", "x")
+        parts = {name: getattr(self, name) / ratio for name in own} | {
+            name: ratio * getattr(self, name) for name in ("table", "force")
+        }
+        base = None if self.base is None else self.base.at_wheel(ratio)
+        return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, base=base, **parts)
+
     def mean(self, centre: float, deviation: float) -> ForceCurve:
         """Returns the mean of F over Gaussian deflections [m], which velocities do not depend on, at the table's velocities."""
         z = WIDTH * np.linspace(-1.0, 1.0, NODES) if deviation else np.zeros(1)

@@ -37,7 +37,7 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """
     data = parse_toml(text)
     replacements = [*_families(data, folder), *_laws(data, folder), *curve_tables(data, folder)]
-    return with_replacements(text, replacements), tuple(one.file for one in replacements if one.file)
+    return with_replacements(text, replacements), tuple(file for one in replacements for file in one.files)
 
 
 def with_sections(text: str, lines: Sequence[str]) -> str:
@@ -92,7 +92,7 @@ def _families(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             with reading(path, f"[controllers.{name}] {KEY}", GIVE_FAMILY):
                 content = path.read_bytes()
                 family = read(content.decode("utf-8-sig").replace("\r\n", "\n"))
-            yield Replacement(("controllers", name, KEY), {KEY: family}, origin(file, content), path)
+            yield Replacement(("controllers", name, KEY), {KEY: family}, origin(file, content), (path,))
 
 
 def _of_toml(text: str) -> list[dict[str, Any]]:
@@ -126,4 +126,4 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
                 if given != period:
                     raise InputError(f"has a sample period of {period:g} s, and sample_period = {quoted(given)} is another")
                 law |= {} if "sample_period" in entry else {"sample_period": period}
-        yield Replacement(("controllers", name, "file"), law, origin(file, content), path)
+        yield Replacement(("controllers", name, "file"), law, origin(file, content), (path,))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
 from models.kinds.kind import Parameter
-from models.suspension import STOP_KEYS
+from models.suspension import STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
@@ -34,7 +34,8 @@ class Limits:
 
     Attributes:
         suspension_stroke: travel either way before the bump stop [m], or one for each side.
-        stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or these for each side.
+        stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or its table, or these for
+            each side.
         actuator_force: largest force [N].
         actuator_bandwidth: corner frequency of the first-order lag from the requested force to the force [rad/s].
         limit: `"command"` limits the requested force before the lag, `"force"` the force behind the lag; None means `"force"`.
@@ -142,7 +143,7 @@ def _text(value: "float | Stiffness | str") -> str:
     """Returns a value of `[limits]` as in a vehicle file."""
     if isinstance(value, tuple):
         return f"[{', '.join(f'{k:g}' for k in value)}]"
-    return value if isinstance(value, str) else f"{value:g}"
+    return f"{value:g}" if isinstance(value, float | int) else str(value)
 
 
 def samples(count: float) -> str:
@@ -240,13 +241,13 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     """
     of_actuators = {parameter.name: parameter for parameter in LIMITS}
     for name, value in section.items():
-        if name not in (*of_actuators, "limit", *STOP_KEYS) and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_KEYS, *of_actuators, 'limit'))}")
+        if name not in (*of_actuators, "limit", *STOP_NAMES) and not isinstance(value, Mapping):
+            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
     if (limit := section.get("limit")) is not None:
         if limit not in ORDERS:
             raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
         if "actuator_force" not in section:
-            raise InputError(f"[limits] has limit = {limit!r} and no largest force; give actuator_force [N], or omit limit")
+            raise InputError(f"[limits] has limit = {limit!r} but no largest force; give actuator_force [N], or omit limit")
     of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
     limits = Limits()
     if of_stops:
@@ -323,7 +324,7 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
     for name, text in limits.written.items():
         if "suspension_stroke" in name and float(text) > LONGEST_STROKE:
             doubts.append(f"{name} is {text} m; is it in m?")
-        elif "stop_stiffness" in name and not text.startswith("[") and float(text) < SOFTEST_STOP:
+        elif "stop_stiffness" in name and not text.startswith(("[", "table")) and float(text) < SOFTEST_STOP:
             doubts.append(f"{name} is {text} N/m; is it in N/m?")
     return doubts
 
@@ -340,8 +341,8 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
         raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and "
-            f"no force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, but "
+            f"forces change only between steps; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps
 

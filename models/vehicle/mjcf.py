@@ -62,7 +62,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    vehicle.kind.write_mjcf(spec, vehicle.parameters)
+    vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
     _write_limits(spec, vehicle)
     _write_curves(spec, vehicle)
     if vehicle.dampers:
@@ -70,6 +70,10 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
 
         tendons = {suspension.force: suspension.tendon for suspension in vehicle.kind.suspensions}
         write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
+    ratios = vehicle.motion_ratios
+    for actuator in spec.actuators:
+        if actuator.name in ratios:
+            actuator.gear[0] *= ratios[actuator.name]
     return spec
 
 
@@ -121,9 +125,9 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Writes bump stops, largest force and lag into every suspension and actuator.
 
     A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; if bump and rebound differ,
-    each is a spring of its own, slack to the other side.
+    each is a spring of its own, slack to the other side. A stop with a table is the pieces of its curve.
     """
-    limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
+    limits, stops = vehicle.limits, vehicle.stops
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
     by_tendon = {name: pair for name, pair in by_tendon.items() if pair.acts}
     if names := list(by_tendon):
@@ -133,6 +137,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                 f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
                 "[limits] suspension_stroke is to stop; add what is missing, or omit the stroke"
             )
+        from models.suspension.curve_actuators import add_pieces
+
         at_rest = _compiled(vehicle, spec.copy())
         for tendon in suspensions.values():
             rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
@@ -145,6 +151,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                         stop.wrap_joint(wrap.target.name, wrap.coef)
                     else:
                         stop.wrap_site(wrap.target.name)
+            for name, pieces in by_tendon[tendon.name].pieces.items():
+                add_pieces(spec, f"{FITTED}{name}_{tendon.name}", tendon.name, pieces, rest)
     for actuator in spec.actuators:
         if actuator.name.startswith(FITTED):
             continue
@@ -230,7 +238,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
         )
     if model.nq != model.nv:
-        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; give slides and hinges")
+        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; use slide and hinge joints")
     for name in vehicle.linear_model.outputs:
         for part in vehicle.kind.combined.get(name, {name: 1.0}):
             sensor = model.sensor(part)

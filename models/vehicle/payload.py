@@ -43,6 +43,7 @@ def laden(
         raise InputError("[payload]: this vehicle has no sprung_mass that moves vertically; omit the section")
     about_rest = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
+    about_rest += [*kind.ratios]
     if about_rest:
         raise InputError(
             f"[payload] sinks the car, and the curve {about_rest[0]} is about its rest without payload; give the curve about the "
@@ -66,7 +67,7 @@ def laden(
             heavier[name] += moved
     with error_in("[payload]: with it"):
         checked = kind.check(heavier)
-    return checked, _sunk(kind, model, load, limits)
+    return checked, _sunk(kind, model, load, limits, parameters)
 
 
 def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[float, dict[str, float]]:
@@ -74,14 +75,14 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
     for key, value in given.items():
         if key == "y":
             raise InputError(
-                f"{where} y: a vehicle's mass lies on its centre line; drive with --load payload:y=..., a weight alone"
+                f"{where} y: the mass of a vehicle lies on its centre line; use --load payload:y=..., which adds weight only"
             )
         if key not in KEYS:
             raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
         if key in PLACE:
             number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; omit {key}")
+            raise InputError(f"{where} {key}: this vehicle does not pitch, so only the mass matters; omit {key}")
     if "mass" not in given:
         raise InputError(f"{where} mass is missing; give it in kg")
     with error_in(where):
@@ -89,7 +90,9 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
     return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
 
 
-def _sunk(kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits) -> Limits:
+def _sunk(
+    kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits, parameters: Mapping[str, float]
+) -> Limits:
     """Returns the limits with strokes from the laden rest."""
     stops = limits.stops(kind.suspensions)
     if not stops:
@@ -99,7 +102,8 @@ def _sunk(kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limi
     for part in kind.suspensions:
         if part.deflection not in stops:
             continue
-        pair, stretched = stops[part.deflection], float(model.rows([part.deflection])[0][0] @ rest)
+        pair = stops[part.deflection]
+        stretched = part.motion_ratio(parameters) * float(model.rows([part.deflection])[0][0] @ rest)
         left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(

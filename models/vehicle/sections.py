@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, flag_within, is_finite, number_within
-from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number
+from models.common.errors import InputError, error_in, listing, quoted
+from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number, no_loads
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
+    from models.suspension.motion_ratio import RatioTable
     from models.vehicle.limits_and_implementation import Limits
     from models.vehicle.weighted_errors import WeightedErrors
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 PUSHING = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+CARRIED = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     Raises:
         InputError: the text is not TOML, or one of these files is missing or wrong.
     """
-    if not re.search(r"\bfamily\b|\bfile\b[\"']?\s*[=\]]", text):
+    if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
     from models.vehicle.in_place import with_contents
 
@@ -172,15 +174,65 @@ def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mappin
     return in_si(data, kind)
 
 
-def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "ForceCurve"], dict[str, float]]:
-    """Reads `[curves]`, and `[parameters]` with the curves' slopes at rest."""
+def curves_and_parameters(
+    data: Mapping[str, Any], kind: VehicleKind
+) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
+    """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
     if not data.get("curves"):
-        return {}, kind.check(data["parameters"])
+        return {}, kind.check(data["parameters"]), kind
     from models.suspension.curve_reading import read_curves
     from models.suspension.fitted_curves import curvable, with_slopes
 
-    curves = read_curves(data["curves"], curvable(kind.suspensions))
-    return curves, kind.check(with_slopes(data["parameters"], curves))
+    over, ratios = curvable(kind.suspensions), _ratios(data["curves"], kind)
+    section = {name: entry for name, entry in data["curves"].items() if name not in ratios}
+    at_rest = {name: table.at_rest for name, table in ratios.items()}
+    anything = {name: 1.0 for name in section if name in over} | at_rest  # the loads do not depend on it
+    curves = read_curves(section, over, lambda name: static_loads(kind, kind.check({**data["parameters"], **anything})).get(name))
+    kind = replace(kind, ratios=ratios) if ratios else kind
+    return (
+        curves,
+        kind.check(with_slopes(data["parameters"], {name: curve.slope for name, curve in curves.items()} | at_rest)),
+        kind,
+    )
+
+
+def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTable]":
+    """Returns the motion ratios over travel of `[curves]`, by parameter."""
+    names = {part.ratio for part in kind.suspensions} & {*section}
+    if not names:
+        return {}
+    from models.suspension.motion_ratio import ratio_table
+
+    if kind.static_loads is no_loads:
+        raise InputError(f"[curves] {min(names)}: this vehicle type has no static_loads, which preload its springs; add them")
+    ratios = {}
+    for name in section:
+        if name in names:
+            with error_in(f"[curves] {name}:"):
+                ratios[name] = ratio_table(section[name])
+    return ratios
+
+
+def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Returns the load of the body's weight in a spring [N], by the spring's parameter; empty if it is not known."""
+    loads = kind.static_loads(parameters)
+    springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
+    return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
+
+
+def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
+    """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
+    notes = []
+    for name, curve in curves.items():
+        carried, load = -curve.at_rest, loads.get(name)
+        notes += [f"{name}: {curve.note}"] if curve.note else []
+        if carried and load is not None and abs(carried - load) > CARRIED * load:
+            notes.append(
+                f"{name}: its table carries {round(carried, 1):g} N at rest, and the static load is {round(load, 1):g} N, a "
+                f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
+            )
+    return notes
 
 
 def dampers_of(
@@ -198,6 +250,8 @@ def dampers_of(
 
     sections = data.get("controllers", {}).values()
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
+    if kind.ratios:
+        raise InputError("[actuators] semi-active dampers need a constant motion ratio; give it in [parameters]")
     dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
 
@@ -305,7 +359,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     value = flag_within(where, entry, "sampled", usual)
     if value and period is None:
         raise InputError(
-            f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
+            f"{where} has sampled = true, but [implementation] gives no sample period; give it, as in sample_period = 0.01, "
             "seconds, or omit sampled"
         )
     return value

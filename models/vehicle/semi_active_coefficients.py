@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
     """Returns the coefficients of N laws of one name for N vehicles of one kind.
 
-    A damper between body and sky, or wheel and ground, has c_max by default; a damper of a mode of the body has the sky damper's
-    coefficient by default.
+    A damper between body and sky, or wheel and ground, has c_max at the wheel by default; a damper of a mode of the body has the
+    sky damper's coefficient by default.
     """
     dampers = [[damper.damper for damper in vehicle.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
@@ -31,7 +31,8 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
                 numbers[i] = one[key]
         return numbers
 
-    sky, ground = of("sky_damping", c_max), of("ground_damping", c_max)
+    squares = np.array([[damper.ratio for damper in vehicle.adjustable] for vehicle in vehicles]) ** 2
+    sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)  # on body and wheel
     moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()
     for b, key in enumerate(key for key, mode in MODAL.items() if mode in laws[0].modes):
@@ -40,7 +41,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
                 damped[b, i] *= one[key] / np.where(sky[i] > 0, sky[i], 1.0)
     stiffness = np.array([_stiffness(vehicle) for vehicle in vehicles])
     mix, crossover = of("mix", 0.5), of("crossover", CROSSOVER)
-    return LawCoefficients(c_min, c_max, sky, ground, stiffness, ([*damped], [*moved]), mix, crossover)
+    return LawCoefficients(c_min, c_max, sky / squares, ground / squares, stiffness, ([*damped], [*moved]), mix, crossover)
 
 
 def _stiffness(vehicle: Vehicle) -> list[float]:

@@ -13,14 +13,25 @@ from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, read_text
-from models.kinds.kind import HERE, ShownVehicle, VehicleKind
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
+from models.kinds.kind import HERE, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
-from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
+from models.vehicle.limits_and_implementation import (
+    Implementation,
+    Limits,
+    check_period,
+    read_implementation,
+    read_limits,
+    unit_doubts,
+)
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
+    curve_notes,
     curves_and_parameters,
     dampers_of,
     in_si_units,
@@ -35,6 +46,7 @@ from models.vehicle.sections import (
 if TYPE_CHECKING:
     from models.laws.filter import Filter
     from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.fitted_curves import SuspensionCurve
@@ -71,7 +83,7 @@ SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "imple
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Vehicle(ShownVehicle):
+class Vehicle(Shown):
     """Vehicle of a vehicle file.
 
     Attributes:
@@ -142,13 +154,14 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def fitted(self) -> "tuple[SuspensionCurve, ...]":
-        """Curves of its suspensions, scaled to its parameters."""
-        if not (self.curves or self.dampers):
+        """Curves of its suspensions at the wheels, scaled to its parameters."""
+        if not (self.curves or self.dampers or self.kind.ratios):
             return ()
         from models.suspension.fitted_curves import fitted
 
         dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
-        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
+        loads = self.kind.static_loads(self.parameters) if self.kind.ratios else {}
+        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers, self.kind.ratios, loads)
 
     @property
     def is_curved(self) -> bool:
@@ -160,7 +173,7 @@ class Vehicle(ShownVehicle):
 
         For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
         """
-        model, kind = self.linear_model, self.kind
+        model, kind, parameters = self.wheel_model, self.kind, self.kind.at_wheels(self.parameters)
         suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
         push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
         for j, name in enumerate(deflections):
@@ -171,8 +184,8 @@ class Vehicle(ShownVehicle):
                 continue
             parameter = suspensions[name].stiffness
             stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
-            more = kind.model({**self.parameters, parameter: 2 * self.parameters[parameter]})
-            by = np.linalg.pinv(model.rows(stretched)[0]) / self.parameters[parameter]
+            more = kind.model({**parameters, parameter: 2 * parameters[parameter]})
+            by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
             push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
             outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
         # The outputs of actuator forces do not include curves.
@@ -183,23 +196,57 @@ class Vehicle(ShownVehicle):
     def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
-        return replace(self, curves={}, dampers=dampers) if self.fitted else self
+        straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
+        kind = replace(self.kind, ratios=straight) if straight else self.kind
+        return replace(self, kind=kind, curves={}, dampers=dampers) if self.fitted else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters."""
         return self.kind.model(self.parameters)
 
-    def _repr_html_(self) -> str:
-        from models.document.notebook import gain_curve, gain_panel, notebook_figure
+    @property
+    def wheel_model(self) -> LinearModel:
+        """Linear model whose inputs are forces at the wheels: those of actuators times their motion ratios."""
+        return self.kind.model(self.kind.at_wheels(self.parameters))
+
+    @cached_property
+    def motion_ratios(self) -> Mapping[str, float]:
+        """Motion ratio of every force, in the order of the linear model's inputs."""
+        ratios = {part.force: part.motion_ratio(self.parameters) for part in self.kind.suspensions}
+        return {force: ratios.get(force, 1.0) for force in self.linear_model.inputs}
+
+    @cached_property
+    def stops(self) -> "dict[str, Stops]":
+        """Bump stops as they act at the wheels, by deflection; those of `[limits]` are at their motion ratios."""
+        stops, parts = self.limits.stops(self.kind.suspensions), {part.deflection: part for part in self.kind.suspensions}
+        for name, pair in stops.items():
+            ratio, table = parts[name].motion_ratio(self.parameters), self.kind.ratios.get(parts[name].ratio)
+            stops[name] = pair.at_wheel(ratio) if table is None else table.scaled(ratio).stops(pair)
+        return stops
+
+    @property
+    def shown(self) -> Document:
+        """Vehicle type and file, then parameters, weights and controllers."""
+        units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
+        return facts(
+            f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}",
+            {
+                "parameters": ", ".join(f"{name} {value:g} {units[name]}".rstrip() for name, value in self.parameters.items()),
+                "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
+                "controllers": ", ".join(("passive", "state", *self.controllers)),
+            },
+        )
+
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain from the road's velocity to the weighted signals, without control."""
+        from models.document.notebook import gain_figure
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
-        omega, gains = gain_curve(model.A, model.Bw, weights * model.C, weights * model.Dw)
-        panel = gain_panel(
-            "largest singular value without control, from the road's velocity to the weighted signals:", omega, gains, {}
-        )
-        return super()._repr_html_() + notebook_figure(panel)
+        title = "Largest singular value without control, from the road's velocity to the weighted signals."
+        return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
 
     @cached_property
     def adjustable(self) -> "tuple[Adjustable, ...]":
@@ -243,7 +290,7 @@ class Vehicle(ShownVehicle):
         if pushing and others:
             raise InputError(
                 f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
-                "one sort: select controllers of one sort with --controller"
+                "one kind: select controllers of one kind with --controller"
             )
         return self.with_force_actuators if pushing else self
 
@@ -395,6 +442,13 @@ class Vehicle(ShownVehicle):
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
     @property
+    def doubts(self) -> list[str]:
+        """Questions about numbers that are probably not in SI units, and remarks on its curves."""
+        pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
+        curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
+        return [*unit_doubts(self.kind.at_wheels(self.parameters), self.limits), *curve_notes(curves, self.kind, self.parameters)]
+
+    @property
     def controller_names(self) -> tuple[str, ...]:
         """Names of all controllers."""
         return (*RESERVED, *self.controllers)
@@ -436,7 +490,7 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop to analyse; give another controller, or drive this one "
+                f"controller {name!r} is {what}, which has no linear loop; give another controller, or drive this one "
                 "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
@@ -500,7 +554,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
     vehicle_kind = kind(data["type"], folder)
     data = in_si_units(text, data, vehicle_kind)
-    curves, parameters = curves_and_parameters(data, vehicle_kind)
+    curves, parameters, vehicle_kind = curves_and_parameters(data, vehicle_kind)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
     parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
@@ -513,8 +567,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     sums = read_sums(data["performance"], model.outputs)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs, sums)
     named = {signal for entry in controllers.values() for signal in entry.named}
-    bent = {*curves, *(force for force, part in dampers.items() if part.pair is not None)}
-    named |= {part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force} & bent}
+    bent = {*curves, *vehicle_kind.ratios, *(force for force, part in dampers.items() if part.pair is not None)}
+    named |= {
+        part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force, part.ratio} & bent
+    }
     named |= {signal for one in sums for signal in one.terms}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
     vehicle = Vehicle(

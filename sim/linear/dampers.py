@@ -12,7 +12,7 @@ MOST_SQUARED = 1e150  # N
 
 
 def stretching(vehicle: Vehicle) -> Array:
-    """Returns V from the state to the stretching rate of each force's suspension, shape (m, n); zero rows for force actuators.
+    """Returns V from the state to the stretching rate of each adjustable damper, shape (m, n); zero rows for force actuators.
 
     Raises:
         ValueError: a suspension's deflection is not a state of the linear model, or jumps with the road.
@@ -24,7 +24,7 @@ def stretching(vehicle: Vehicle) -> Array:
             at = model.states.index(vehicle.kind.pushed(force))
             if np.any(model.B[at]) or np.any(model.jump[at]) or np.any(model.Br[at]):
                 raise ValueError(f"the rate of {model.states[at]} has a force or the road in it")
-            row = model.A[at]
+            row = vehicle.motion_ratios[force] * model.A[at]
         rows.append(row)
     return np.stack(rows)
 

@@ -21,9 +21,9 @@ class LinearMotion:
         Raises:
             ValueError: a suspension with a curve or a stop is not a state of the linear model, or its effect is unknown.
         """
-        self.model, self.names = vehicle.linear_model, vehicle.linear_model.states
+        self.model, self.names = vehicle.wheel_model, vehicle.linear_model.states
         self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
-        stops = vehicle.limits.stops(vehicle.kind.suspensions)
+        stops = vehicle.stops
         needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.acts}
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
         names = [part.deflection for part in vehicle.kind.suspensions]
@@ -66,7 +66,7 @@ class LinearMotion:
 
 
 def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Array:
-    """Returns the forces of suspensions beyond their linear springs and dampers [N], shape (K, s).
+    """Returns the forces of suspensions at the wheels beyond their linear springs and dampers [N], shape (K, s).
 
     Args:
         beyond: coefficients of adjustable dampers beyond the nominal ones [N s/m], shape (K, m).
@@ -79,12 +79,13 @@ def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Arr
         if fitted.curve.bent:
             i = places[fitted.deflection]
             pulls[:, i] += fitted.beyond(d[:, i], v[:, i])
-    for name, stops in vehicle.limits.stops(vehicle.kind.suspensions).items():
+    for name, stops in vehicle.stops.items():
         pulls[:, places[name]] += stops.pull(d[:, places[name]])
     for part in vehicle.kind.suspensions:
         i = places[part.deflection]
         if part.force in dampers:
-            pulls[:, i] += beyond[:, inputs.index(part.force)] * dampers[part.force].shape(v[:, i])
+            one = dampers[part.force]
+            pulls[:, i] += one.ratio * beyond[:, inputs.index(part.force)] * one.shape(one.ratio * v[:, i])
     return pulls
 
 

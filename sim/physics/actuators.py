@@ -95,6 +95,6 @@ class Actuators:
             values[:, names.index(one.coefficient)] = self._nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
             if one.damper.pair is not None:  # its force is the sum of several actuators
-                velocity = values[:, names.index(velocities[one.force])]
+                velocity = one.ratio * values[:, names.index(velocities[one.force])]
                 shaped = [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)]
                 values[:, names.index(one.force)] = -beyond * np.stack(shaped, axis=-1)

@@ -41,7 +41,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
@@ -98,11 +99,11 @@ class Energy(Shown):
     allowed: float = BALANCED
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns whether it balances, and the energies, as text."""
+    def shown(self) -> Document:
+        """Returns whether it balances, and the energies."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
         joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        return f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+        return facts(f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules)
 
     @property
     def fails(self) -> bool:
@@ -310,7 +311,7 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
 
 @functools.lru_cache(maxsize=16)
 def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]:
-    """Returns the vehicle's model with the sensors of its energy alone, and the sign of every force along its length.
+    """Returns the vehicle's model with the sensors of its energy alone, and every force along its length per force.
 
     The sensors, in order: potential and kinetic energy; then length and speed of every actuator's direction, of every damped
     tendon and joint, of the tendon of every curve, of every one that has stops, of every tyre that damps, and of every strut
@@ -325,7 +326,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
         stroke = sensors.get(vehicle.kind.pushed(name))
         if stroke is not None and stroke.type in speeds:
             pairs.append((stroke.type, speeds[stroke.type], stroke.objtype, stroke.objname))
-            along.append(float(stroke.userdata[0]))
+            along.append(vehicle.motion_ratios[name] * float(stroke.userdata[0]))
         else:
             pairs.append((kind.mjSENS_ACTUATORPOS, kind.mjSENS_ACTUATORVEL, of.mjOBJ_ACTUATOR, name))
             along.append(1.0)
@@ -357,7 +358,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
 
 def _pushing_stops(vehicle: Vehicle) -> "dict[str, Stops]":
     """Returns the bump stops that push back, by their suspension's tendon."""
-    stops = vehicle.limits.stops(vehicle.kind.suspensions)
+    stops = vehicle.stops
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
     return {tendon: both for tendon, both in by_tendon.items() if both.acts}
 

@@ -12,13 +12,14 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
-from sim.physics.driver import Failure, RunDriver
+from sim.physics.driver import Failure, RecordedForces, RunDriver
 from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
 
@@ -157,6 +158,13 @@ class _Loop:
     def __init__(self, course: BatchInputs) -> None:
         """Prepares what all shares of the runs have in common."""
         self.course, self.vehicles = course, course.vehicles
+        for vehicle, one in zip(course.vehicles, course.controllers, strict=True):
+            passive = one is None or isinstance(one, RecordedForces) or (isinstance(one, Controller) and not one.law.acts)
+            if vehicle.kind.ratios and not passive:
+                raise InputError(
+                    f"controller {one.name!r} pushes through {next(iter(vehicle.kind.ratios))}, which changes with travel in "
+                    "[curves], and runs need a constant one for that; run passive, or give the ratio in [parameters]"
+                )
         first, timestep = self.vehicles[0], course.timestep
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in self.vehicles}

@@ -23,9 +23,10 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
+    closing = readout.stretching if vehicle.dampers else np.zeros(0)
     return b"".join(
         part.tobytes()
-        for part in (elements, readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
+        for part in (elements, closing, readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
     )
 
 

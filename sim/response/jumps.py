@@ -25,7 +25,7 @@ class Jumps:
         self.coefficient = {force: index[one.coefficient] for force, one in dampers.items()}
         self.shapes = {one.force: [other.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.adjustable)}
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
-        rows = {force: model.A[model.states.index(vehicle.kind.pushed(force))] for force in dampers}
+        rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
         if vehicle.limits.actuator_bandwidth is not None:

@@ -103,7 +103,7 @@ def _either_way(
 
 def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
     """Returns thresholds on every suspension's deflection, one to each side that has a stop."""
-    stops = vehicle.limits.stops(vehicle.kind.suspensions).items()
+    stops = vehicle.stops.items()
     return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in both.sides.values()]
 
 
@@ -166,7 +166,7 @@ FLAT = End(  # no model of the vehicle holds from there
     "flat tyre",
     "",
     "",
-    "#555555",
+    "#8c8c8c",
     ("Cross", (20, 20, 20)),
     _flat,
 )

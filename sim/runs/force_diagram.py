@@ -100,7 +100,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
         _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
         _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
         lambda response: response[signal.name],
-        lambda x, response: pull(x, response) - (response[actuator] if pushed else 0.0),
+        lambda x, response: pull(x, response) - (one.ratio * response[actuator] if pushed else 0.0),
         (
             _line(what, ending, "curve", "solid", 1.8, one.curve),
             _line(what, ending, "line at rest", "dash", 1.0, lambda x: one.curve.slope * x),
@@ -116,7 +116,7 @@ def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
     place = one.ending.replace("_", " ")
     return Diagram(
         f"adjustable damper{place}",
-        f"suspension velocity{place} [m/s]",
+        f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
         _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
         _named("damper", "force", one.ending, "N", "all that it pulls together with"),
         lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,

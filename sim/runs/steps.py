@@ -75,7 +75,7 @@ class StepAgreement(LocalAgreement):
 def motion_of(vehicle: Vehicle) -> "Motion | None":
     """Returns the exact equations of a vehicle, or None if only its MJCF has them."""
     if vehicle.kind.motion is not None:
-        return vehicle.kind.motion(vehicle.parameters)
+        return vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
     try:
         return None if has_geometry(vehicle) else LinearMotion(vehicle)
     except ValueError:
@@ -193,10 +193,11 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     if not len(state):
         return starts.there, starts.there
     total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
+    ratios = np.array([*starts.vehicle.motion_ratios.values()])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at = state + share * h * rate
         forces, beyond = _parted(starts.vehicle, given)
-        rate = motion.rate(at, starts.midway, forces, partial(suspension_pulls, starts.vehicle, beyond), starts.loads)
+        rate = motion.rate(at, starts.midway, forces * ratios, partial(suspension_pulls, starts.vehicle, beyond), starts.loads)
         total += weight * rate
     return motion.read(state + h * total, starts.heights[1:]), starts.there
 
@@ -211,7 +212,8 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         seen.append(v)
         return suspension_pulls(vehicle, beyond, d, v)
 
-    shown = dict(motion.outputs(starts.state, starts.heights[:-1], forces, pulls, loads))
+    at_wheels = forces * np.array([*vehicle.motion_ratios.values()])
+    shown = dict(motion.outputs(starts.state, starts.heights[:-1], at_wheels, pulls, loads))
     for part, v in zip(kind.suspensions, seen[0].T, strict=True):
         shown.setdefault(part.velocity.name, v)
     places = {part.force: i for i, part in enumerate(kind.suspensions)}
@@ -219,7 +221,7 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         shown[name] = forces[:, j]
     for one in vehicle.adjustable:
         coefficient = beyond[:, vehicle.linear_model.inputs.index(one.force)]
-        shown[one.force] = -coefficient * one.shape(seen[0][:, places[one.force]])
+        shown[one.force] = -coefficient * one.shape(one.ratio * seen[0][:, places[one.force]])
         shown[one.coefficient] = one.nominal + coefficient
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))

@@ -42,7 +42,7 @@ def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
-    for name, stops in run.vehicle.limits.stops(run.vehicle.kind.suspensions).items():
+    for name, stops in run.vehicle.stops.items():
         contacts[name] = {}
         for side, (sign, stop) in stops.sides.items():
             travel = sign * physics[name]

@@ -28,8 +28,8 @@ vehicle file, types, equations, MJCF                           4903   1403    20
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
-    tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
-    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
+    tests/*/test_{cars,heights,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
+    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,vehicle-data}.md
 laws and families in files                                      258    349     93
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    203      0
@@ -45,9 +45,9 @@ semi-active dampers and laws                                   1218    844    14
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
 curves of dampers and springs, statistical linearisation       1603   1015     42
-    models/suspension/{curve*,fitted_curves,surface*}.py sim/studies/ride/statistical_linearisation.py sim/runs/force_diagram.py
-    sim/linear/{nonlinear_elements,piecewise_linear_steps}.py sim/physics/surface_steps.py tests/support/curved.py
-    tests/*/test_{curves*,surfaces}.py
+    models/suspension/{curve*,fitted_curves,measured_loop,surface*}.py sim/studies/ride/statistical_linearisation.py
+    sim/linear/{nonlinear_elements,piecewise_linear_steps}.py sim/physics/surface_steps.py sim/runs/force_diagram.py
+    tests/support/curved.py tests/*/test_{curves*,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      373    236      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py

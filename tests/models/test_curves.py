@@ -171,6 +171,21 @@ def test_against_equations_written_out_and_integrated_by_scipy():
     assert errors[1] < 0.6 * errors[0]
 
 
+@pytest.mark.parametrize(("velocity", "force"), [
+    ([-1.056, -0.528, -0.396, -0.264, -0.132, -0.051, 0, 0.051, 0.132, 0.264, 0.396, 0.528, 1.056],
+     [-971, -744, -685, -636, -557, -286, 0, 227, 902, 1581, 1862, 2178, 4054]),
+    ([-0.832, -0.416, -0.312, -0.208, -0.104, -0.04, 0, 0.04, 0.104, 0.208, 0.312, 0.416, 0.832],
+     [-1751, -1224, -1119, -1020, -895, -415, 0, 276, 658, 961, 1224, 1507, 2652]),
+])  # fmt: skip
+def test_public_damper_tables(velocity, force):
+    """Front and rear damper of a car in DYNA4's database, extension positive as here, make a quarter-car move as SciPy says."""
+    vehicle = with_curves(suspension_damping=f"{{ velocity = {velocity}, force = {force} }}")
+    time, road = sample_times(vehicle, 0.6, 1e-3), Bump(0.05, 5.0, 12.5)
+    reference, exact = integrated_by_scipy(vehicle, road, time), sampled_response(vehicle, design(vehicle, "passive"), road, time)
+    for name, column in zip(STATES, reference.T, strict=True):
+        assert exact[name] == pytest.approx(column, abs=1e-7 * np.abs(column).max())
+
+
 LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
 BY_ACCELERATION = "[controllers.law]\nmeasured = ['sprung_acceleration', 'suspension_velocity']\ngain = [[-80.0, 100.0]]"
 DYNAMIC = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"
@@ -341,7 +356,7 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "has no unit; allowed: N, daN, kN, lbf; write force [N] above it"),
         ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "is in 'km'; allowed: cm/s, ft/s, in/s, m/s, mm/s"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n-1, 10, 10\n1, 20, 20\n", "has a speed below 0; give"),
-        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "none of deflection (positive: in extension), force"),
+        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]'; which direction is positive? Write"),
         ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 names its 2 column(s)"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "line 3, column 2: 'nan' is not"),

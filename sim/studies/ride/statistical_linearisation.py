@@ -273,9 +273,15 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     pulls = elements(vehicle, vehicle.linear_model)
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
+    squares, at_wheels = {one.parameter: one.ratio**2 for one in placed}, vehicle.kind.at_wheels(vehicle.parameters)
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **shared})
+        # A motion ratio that changes with travel adds to the rates at the wheels.
+        of_elements = {
+            name: (slope - (at_wheels[name] - squares[name] * vehicle.parameters[name])) / squares[name]
+            for name, slope in shared.items()
+        }
+        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
         if LoopModel(linear, controller, timestep).radius >= 1:
             return None
         deviations, spreads = np.split(_deviations(linear, controller, road, timestep, signals + travels), [len(signals)])

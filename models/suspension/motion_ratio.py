@@ -1,0 +1,158 @@
+"""Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, straight between its points.
+
+Beyond its points the ratio is constant. An element with the pull F over its own travel D, which is the integral of r from rest,
+and the preload N that carries the load W = r(0) N at rest, pulls at the wheel with
+
+    P(d) = r(d) (F(D(d)) - N) + W,    P'(0) = r(0)^2 F'(0) - r'(0) N,
+
+and a damper of force G over its velocity with r(d) G(r(d) d'). Where r' differs on both sides of rest, the linear model has its
+mean. P is straight lines, as the curves of `models.suspension.curve_reading` are; the line about rest has the slope P'(0). A bump
+stop keeps the ratio at which it begins.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.checks import check_keys, number_within
+from models.common.errors import InputError, quoted
+from models.suspension import RATIO
+from models.suspension.curve import ForceCurve, slope_at_rest
+from models.suspension.curve_reading import DEFLECTION, MOST_LINES, points, thinned
+from models.suspension.surface import ForceSurface, surface_of
+
+if TYPE_CHECKING:
+    from models.suspension.bump_stops import Stops
+
+SMALLEST, LARGEST = 0.05, 5.0
+LEAST_ERROR, COARSER = 1e-5, 1.5  # of the lines, over the largest force, raised until there are as few as MuJoCo has for a curve
+TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+FINE = 801  # points of P, of which the lines take some
+
+
+@dataclass(frozen=True, eq=False)
+class RatioTable:
+    """Motion ratio over the deflection of a suspension.
+
+    Attributes:
+        x: deflections [m], ascending, with rest among the inner ones, shape (n,).
+        ratio: r at these, shape (n,).
+        straight: True for the tangent of springs and dampers at rest, of linear analysis, instead of the table.
+    """
+
+    x: Array
+    ratio: Array
+    straight: bool = False
+
+    def __call__(self, deflection: Array) -> Array:
+        """Returns r at deflections [m], shape (...)."""
+        return np.interp(deflection, self.x, self.ratio)
+
+    @property
+    def at_rest(self) -> float:
+        """r(0)."""
+        return float(self(np.zeros(())))
+
+    @cached_property
+    def turn(self) -> float:
+        """r'(0) over r(0) [1/m], the mean of both sides of rest."""
+        i = int(np.searchsorted(self.x, 0.0))
+        x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
+        return slope_at_rest(x, self(x)) / self.at_rest
+
+    def scaled(self, at_rest: float) -> "RatioTable":
+        """Returns the table times a factor, with another ratio at rest."""
+        return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
+
+    def travel(self, deflection: Array) -> Array:
+        """Returns D [m] at deflections [m], shape (...)."""
+        d = np.clip(deflection, self.x[0], self.x[-1])
+        i = np.clip(np.searchsorted(self.x, d) - 1, 0, len(self.x) - 2)
+        at = np.concatenate([[0.0], np.cumsum((self.ratio[1:] + self.ratio[:-1]) / 2 * np.diff(self.x))])
+        within = at[i] + (self.ratio[i] + self(d)) / 2 * (d - self.x[i])
+        rest = int(np.searchsorted(self.x, 0.0, side="right")) - 1
+        to_rest = at[rest] + (self.ratio[rest] + self.at_rest) / 2 * -self.x[rest]
+        return within - to_rest + self(d) * (deflection - d)
+
+    def deflection(self, travel: Array) -> Array:
+        """Returns the deflections [m] at travels [m] of the element, shape (...), by Newton's method: D rises everywhere."""
+        d = travel / self.at_rest
+        for _ in range(TRIALS):
+            d = d - (self.travel(d) - travel) / self(d)
+        return d
+
+    def spring(self, curve: ForceCurve, load: float) -> ForceCurve:
+        """Returns P of a spring that carries a load W [N] at rest."""
+        preload = load / self.at_rest
+        slope = self.at_rest**2 * curve.slope - self.turn * load
+        reach = [*self.x, *self.deflection(curve.x)]
+        # Twice as far all is straight.
+        x = np.unique([0.0, *reach, *np.linspace(min(reach), max(reach), FINE), 2 * min(reach), 2 * max(reach)])
+
+        def pull(d: Array) -> Array:
+            return self(d) * (curve(self.travel(d)) - preload) + load
+
+        force, error = pull(x), LEAST_ERROR
+        largest = float(np.abs(force[1:-1]).max())
+        while True:
+            lines = _lines(x, force, slope, error * largest)
+            if len(lines[0]) <= MOST_LINES + 1:
+                break
+            error *= COARSER
+        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:.2g} %"
+        return ForceCurve(*lines, slope, words)
+
+    def line(self, slope: float) -> ForceCurve:
+        """Returns a straight characteristic over the table's travel, or over velocity [m/s]."""
+        x = self.travel(self.x[[0, -1]])
+        return ForceCurve(np.array([x[0], 0.0, x[1]]), slope * np.array([x[0], 0.0, x[1]]), slope, "a line")
+
+    def damper(self, curve: ForceCurve) -> ForceSurface:
+        """Returns the force of a damper at the wheel over velocity and deflection."""
+        over = np.repeat(curve.force[:, None], len(self.x), axis=1)
+        surface = surface_of(curve.x, self.x, over, f"{curve.words}, at its motion ratio", self.ratio)
+        return replace(surface, slope=self.at_rest**2 * curve.slope)
+
+    def stops(self, stops: "Stops") -> "Stops":
+        """Returns bump stops as they act at the wheel."""
+        both = {"bump": stops.bump, "rebound": stops.rebound}
+        for side, (sign, stop) in stops.sides.items():
+            begins = self.deflection(np.array(sign * stop.stroke))
+            both[side] = replace(stop.at_wheel(float(self(begins))), stroke=abs(float(begins)))
+        return replace(stops, **both)
+
+
+def _lines(x: Array, force: Array, slope: float, error: float) -> tuple[Array, Array]:
+    """Returns the points of as few straight lines as will do, within an error [N]; that through rest has the slope given."""
+    at = [(0.0, 0.0)]
+    for side in (-1.0, 1.0):
+        s, f = (one[side * x > 0][:: int(side)] for one in (side * x, force))
+        near = np.abs(f - slope * side * s) <= error / 2
+        k = max(1, len(s) if near.all() else int(near.argmin()))
+        s, f = s[k - 1 :], np.append(slope * side * s[k - 1], f[k:])
+        chosen = thinned(s - s[0], f, error / 2)
+        at += zip((side * s[chosen]).tolist(), f[chosen].tolist(), strict=True)
+    x, force = np.array(sorted(at)).T
+    return x, force
+
+
+def ratio_table(entry: Any) -> RatioTable:
+    """Returns a motion ratio from its table in a vehicle file.
+
+    Raises:
+        InputError: the entry is not such a table.
+    """
+    what = f'{{ {DEFLECTION.name} = [...], {RATIO} = [...] }}, or {{ file = "NAME.csv" }}'
+    if not isinstance(entry, Mapping) or {DEFLECTION.name, RATIO} - {*entry}:
+        raise InputError(f"{quoted(entry)} is not a motion ratio over travel; give {what}")
+    check_keys("", entry, (DEFLECTION.name, RATIO))
+    x, ratio = points(entry, DEFLECTION, RATIO)
+    if not x[0] < 0 < x[-1]:
+        raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
+    for one in ratio.tolist():
+        number_within(RATIO, one, SMALLEST, LARGEST)
+    return RatioTable(x, ratio)
