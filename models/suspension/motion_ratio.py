@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from models.suspension.bump_stops import Stops
 
 SMALLEST, LARGEST = 0.05, 5.0
-LEAST_ERROR, COARSER = 1e-5, 1.5  # of the lines, over the largest force, raised until there are as few as MuJoCo has for a curve
+# Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
+ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
 FINE = 801  # points of P, of which the lines take some
 
@@ -96,14 +97,13 @@ class RatioTable:
         def pull(d: Array) -> Array:
             return self(d) * (curve(self.travel(d)) - preload) + load
 
-        force, error = pull(x), LEAST_ERROR
+        force = pull(x)
         largest = float(np.abs(force[1:-1]).max())
-        while True:
-            lines = _lines(x, force, slope, error * largest)
-            if len(lines[0]) <= MOST_LINES + 1:
-                break
-            error *= COARSER
-        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:.2g} %"
+        by_error = ((error, _lines(x, force, slope, error * largest)) for error in ERRORS)
+        error, lines = next((one for one in by_error if len(one[1][0]) <= MOST_LINES + 1), (0.0, (x, force)))
+        if not error:
+            raise InputError(f"its motion ratio makes more than {MOST_LINES} straight lines of it; smooth their tables")
+        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:g} %"
         return ForceCurve(*lines, slope, words)
 
     def line(self, slope: float) -> ForceCurve:
