@@ -92,7 +92,7 @@ class ForceCurve:
                 rows.append((slope, near, min(end, 0.0), max(end, 0.0)))
         return Pieces(*np.array(rows).reshape(-1, 4).T)
 
-    @property
+    @cached_property
     def bent(self) -> bool:
         """True if it differs from its line."""
         return len(self.pieces.slope) > 0

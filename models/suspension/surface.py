@@ -74,7 +74,12 @@ class ForceSurface(ForceCurve):
         force = self.along(x[:, None], centre + deviation * z) @ (weight / weight.sum())
         return ForceCurve(x, force, slope_at_rest(x, force), self.words)
 
-    @property
+    @cached_property
+    def key(self) -> bytes:
+        """Equal for surfaces with the same force."""
+        return b"|".join(part.tobytes() for part in (self.velocities, self.deflections, self.table, self.ratio))
+
+    @cached_property
     def bent(self) -> bool:
         """See `ForceCurve.bent`."""
         v, d = np.meshgrid(self.velocities, self.deflections)
@@ -86,7 +91,7 @@ class ForceSurface(ForceCurve):
         steep = np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None] * self.ratio**2
         return float(steep.min()), float(steep.max())
 
-    @property
+    @cached_property
     def range(self) -> float:
         """See `ForceCurve.range`."""
         return float(np.abs(self.ratio * self.table).max())

@@ -105,7 +105,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     if across is None:
         headings = table.headings([QUANTITIES[name].si for name in NAMES])
     else:
-        headings = [Heading(name, name, unit_named(unit)) for name, unit in NAMED.findall(corner)]
+        headings = [Heading(name.strip(), name.strip(), unit_named(unit)) for name, unit in NAMED.findall(corner)]
     of = {name: [one for one in headings if unit_size(one.unit, QUANTITIES[name].si)] for name in NAMES}
     if len(headings) != len(NAMES) or any(len(found) != 1 for found in of.values()):
         if across is None:

