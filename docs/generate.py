@@ -38,7 +38,7 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Bump
-from models.suspension import STOP_KEYS, damper
+from models.suspension import STOP_KEYS, STOP_NAMES, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.vehicle import payload
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
@@ -216,13 +216,16 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
         for key in semi_active.KEYS
     ]
-    sections["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
+    sections["[limits]"] = [(key, "", stops.get(key, f"the same as `{STOP_KEYS[1]}`")) for key in STOP_NAMES]
     sections["[limits]"] += [*((key, one.unit, one.meaning) for key, one in limits.items()), ("limit", "", stops["limit"])]
     sections["[implementation]"] = [
         (key, "", own.get(key, "design for the sampled-data loop, unless a controller's section sets another value"))
         for key in IMPLEMENTATION_KEYS
     ]
-    sections["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
+    sections["[curves]"] = [
+        (key, "", "remark on the table, printed as a warning" if key == "note" else "")
+        for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
+    ]
     sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
     sections["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
     sections["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]

@@ -131,8 +131,9 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
             return Heading(text, text, "", column)  # height (left)
         return Heading(text, text[: bracket.start()], unit_named(bracket[1]), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
-        if any(unit_size(text[gap.end() :], unit) for unit in units):
-            return Heading(text, text[: gap.start()], unit_named(text[gap.end() :]), column)
+        written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
+        if any(unit_size(written, unit) for unit in units):
+            return Heading(text, text[: gap.start()], unit_named(written), column)
     return Heading(text, text, "", column)
 
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,13 +23,15 @@ from models.common.arrays import Array
 from models.common.checks import check_keys, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
-from models.suspension.curve import ForceCurve, Pieces
-from models.suspension.curve_reading import COMPRESSION, DEFLECTION, ROUNDING, as_lines, points
+
+if TYPE_CHECKING:
+    from models.suspension.curve import ForceCurve, Pieces
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
+ROUNDING = 1e-9  # of the largest force of a table: less is 0
 SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
 
@@ -53,8 +55,11 @@ class StopTable:
         return f"table of {len(self.force)} points up to {max(map(abs, self.force)):g} N"
 
     @cached_property
-    def curve(self) -> ForceCurve:
+    def curve(self) -> "ForceCurve":
         """The force over the compression of the stop, 0 before its first point."""
+        from models.suspension.curve import ForceCurve
+        from models.suspension.curve_reading import as_lines
+
         x, force, words = as_lines(np.array(self.compression), np.array(self.force), self.fit_error)
         return ForceCurve(np.array([-1.0, *x]), np.array([0.0, *force]), 0.0, words)
 
@@ -214,14 +219,14 @@ class Stops:
         return springs
 
     @property
-    def pieces(self) -> dict[str, Pieces]:
+    def pieces(self) -> "dict[str, Pieces]":
         """The pieces of the force that pulls together, over the deflection, of each side with a table."""
         pieces = {}
         for side, (sign, stop) in self.sides.items():
             if isinstance(stop.stiffness, StopTable):
                 own = stop.stiffness.curve.pieces
                 bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
-                pieces[f"stop_{side}"] = Pieces(own.slope, sign * (own.start + stop.stroke), *bounds)
+                pieces[f"stop_{side}"] = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])
         return pieces
 
     @property
@@ -298,7 +303,7 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
 
 def _stiffness(where: str, value: Any) -> Stiffness:
     if isinstance(value, Mapping):
-        with error_in(f"{where}:"):
+        with error_in(f"{where}:" if where.startswith("[") else f"[limits] {where}:"):
             return _stop_table(value)
     if not isinstance(value, (list, tuple)):
         return number_within(where, value, SMALLEST, LARGEST, "N/m")
@@ -313,16 +318,16 @@ def _stiffness(where: str, value: Any) -> Stiffness:
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
+    from models.suspension.curve_reading import DEFLECTION, points
+
     check_keys("", value, TABLE_KEYS)
     if "file" in value:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
-    over = DEFLECTION if DEFLECTION.name in value else COMPRESSION
-    if over.name not in value or "force" not in value:
+    if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
         raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
     # A log has tuples.
-    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, over)
-    if over is DEFLECTION:
-        x, force = -x[::-1], -force[::-1]
+    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, DEFLECTION)
+    x, force = -x[::-1], -force[::-1]
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
     _ = table.curve if np.abs(force).max() > 0 else None  # it can be fewer lines
     return table

@@ -164,8 +164,8 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     if x[0] > x[-1]:
         x, force = x[::-1], force[::-1]
     if over == "compression":
-        return {over: (-x[::-1]).tolist(), "force": (-force[::-1]).tolist(), **note}
-    return {wanted: x.tolist(), "force": force.tolist(), **note}
+        wanted, x, force = over, -x[::-1], -force[::-1]
+    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist(), **note}  # no -0.0
 
 
 def _of_ratio(text: str) -> dict[str, Any]:

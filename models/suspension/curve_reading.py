@@ -98,7 +98,7 @@ class Argument:
 
 VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s")
 DEFLECTION = Argument("deflection", "m", 5.0, "mm")
-COMPRESSION = Argument("compression", "m", 5.0, "mm")  # of a stop, or of the suspension up to it
+COMPRESSION = "compression"
 FRICTION = ("friction", "friction_velocity")
 
 
@@ -129,7 +129,12 @@ def read_curves(
 
 def curve_keys(over: Argument) -> tuple[str, ...]:
     """Returns the keys of a curve over this argument."""
-    return over.name, "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ("preload",)), "note"
+    return (*_names(over), "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ("preload",)), "note")
+
+
+def _names(over: Argument) -> tuple[str, ...]:
+    """Returns the possible names of a table's argument; a spring's or a stop's deflection is minus its compression."""
+    return (over.name, COMPRESSION) if over is DEFLECTION else (over.name,)
 
 
 def curve_of(entry: Any, over: Argument, load: Callable[[], float | None] = lambda: None) -> ForceCurve:
@@ -183,7 +188,9 @@ def _table(entry: Any, over: Argument) -> Mapping[str, Any]:
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     check_keys("", entry, curve_keys(over))
-    for key in (over.name, "force"):
+    if len(found := [key for key in _names(over) if key in entry]) > 1:
+        raise InputError(f"has {listing(found)}; omit one of them")
+    for key in (found[0] if found else over.name, "force"):
         if key not in entry:
             raise InputError(f"{key} is missing; give {what}")
     return entry
@@ -200,7 +207,7 @@ def _part(entry: Mapping[str, Any], over: Argument, preload: float, alone: bool)
     if preload:
         x = x - _carrying(x, force, preload)
     if not alone and not x[0] < 0 < x[-1] and abs(force[i := 0 if x[0] >= 0 else -1]) <= ROUNDING * np.abs(force).max():
-        side = np.array([-x[-1], *[0.0] * (x[0] > 0)]) if i == 0 else np.array([*[0.0] * (x[-1] < 0), -x[0]])
+        side = np.array([-x[-1], *[0.0] * bool(x[0] > 0)]) if i == 0 else np.array([*[0.0] * bool(x[-1] < 0), -x[0]])
         parts = ((side, x), (0 * side, force))
         x, force = (np.concatenate(part if i == 0 else part[::-1]) for part in parts)
     _check_both_sides(x, over)
@@ -227,11 +234,14 @@ def _knots(parts: Sequence[Array]) -> Array:
 
 
 def points(entry: Mapping[str, Any], over: Argument, of: str = "force") -> tuple[Array, Array]:
-    """Returns argument and force of a table, or another quantity.
+    """Returns argument and force of a table, positive in extension, or argument and another quantity.
 
     Raises:
-        InputError: they are not numbers, or the argument does not ascend, or is in a wrong unit.
+        InputError: a point is not a number, or the argument does not ascend, or is in a wrong unit.
     """
+    if COMPRESSION in entry and over.name != COMPRESSION:
+        x, force = points(entry, replace(over, name=COMPRESSION))
+        return -x[::-1], -force[::-1]
     x, force = _points(entry[over.name], over.name), _points(entry[of], of)
     if len(x) != len(force):
         raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of {of}; give as many")

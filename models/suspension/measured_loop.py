@@ -44,11 +44,14 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
         return None
     grid = np.unique(np.concatenate([branch[0] for branch in branches]))
     grid = grid[(low <= grid) & (grid <= high)]
+    grid = grid[np.append(True, np.diff(grid) > span / (10 * BINS))]
     up, down = (np.interp(grid, *branch) for branch in branches)
     half, mean = np.abs(up - down) / 2, np.asarray(isotonic_regression((up + down) / 2).x)
     widest, offset = int(half.argmax()), float(np.interp(0.0, grid, mean)) if at_rest else 0.0
-    words = f"mean of a measured loop, hysteresis up to {half[widest]:.4g} N either way at {grid[widest]:.3g} {unit}"
-    words += f", {offset:.4g} N at rest subtracted" if abs(offset) > ROUNDING * np.abs(mean).max() else ""
+    words = (
+        f"mean of a measured loop, hysteresis up to {round(half[widest], 1):g} N either way at {round(grid[widest], 4):g} {unit}"
+    )
+    words += f", {round(offset, 1):g} N at rest subtracted" if abs(offset) > ROUNDING * np.abs(mean).max() else ""
     return grid, mean - offset, words
 
 

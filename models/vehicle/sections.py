@@ -229,8 +229,8 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
         notes += [f"{name}: {curve.note}"] if curve.note else []
         if carried and load is not None and abs(carried - load) > CARRIED * load:
             notes.append(
-                f"{name}: its table carries {carried:.4g} N at rest, and the static load is {load:.4g} N, a difference of "
-                f"{load - carried:+.4g} N; preload = true begins where the table carries the static load"
+                f"{name}: its table carries {round(carried, 1):g} N at rest, and the static load is {round(load, 1):g} N, a "
+                f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
             )
     return notes
 

@@ -429,10 +429,10 @@ class Vehicle(ShownVehicle):
     @property
     def doubts(self) -> list[str]:
         """Questions about numbers that are probably not in SI units, and remarks on its curves."""
-        return [
-            *unit_doubts(self.kind.at_wheels(self.parameters), self.limits),
-            *curve_notes(self.curves, self.kind, self.parameters),
-        ]
+        pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
+        curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
+        at_wheels = self.kind.at_wheels(self.parameters)
+        return [*unit_doubts(at_wheels, self.limits), *curve_notes(curves, self.kind, self.parameters)]
 
     @property
     def controller_names(self) -> tuple[str, ...]:

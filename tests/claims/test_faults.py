@@ -32,11 +32,16 @@ from tests.support.pairs import CORNERS, VELOCITIES
 KINDS = ("quarter_car", "half_car", "full_car")
 FORCE = "[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"
 STOPS = "[limits]\nsuspension_stroke = { bump = 0.03, rebound = 0.035 }\nstop_stiffness = [4e4, 2e6, 3e8]\n"
+TABLES = """[limits.stop]
+bump = { compression = [0.02, 0.03, 0.05], force = [0, 400, 4000] }
+rebound = { deflection = [0, 0.03, 0.06], force = [0, 0, 9e3] }
+"""
 VALVE = '[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 4000.0\nbandwidth = 100.0\n'
 REGIMES = {  # a road, a controller, and sections of the vehicle file
     "linear": (Bump(0.03), "law", ""),
     "lift-off": (Bump(0.2, speed=20.0), "passive", ""),
     "stops": (Bump(0.12, length=3.0, speed=15.0), "passive", STOPS),
+    "stops with tables": (Bump(0.12, length=3.0, speed=15.0), "passive", TABLES),
     "saturation": (Bump(0.1, length=3.0, speed=15.0), "law", FORCE),
     "semi-active": (Bump(0.06), "sky", VALVE),
     "curves": (Bump(0.06), "passive", ""),
@@ -141,7 +146,11 @@ def missed(kind: str, regime: str, part: slice) -> tuple[list[object], int]:
 ALL = [(kind, regime, slice(None)) for kind in KINDS for regime in REGIMES if regime != "curves" or kind == "quarter_car"]
 
 
-FEW = [("half_car", "linear", slice(8, None, 9)), ("quarter_car", "stops", slice(2, None, 5))]
+FEW = [
+    ("half_car", "linear", slice(8, None, 9)),
+    ("quarter_car", "stops", slice(2, None, 5)),
+    ("quarter_car", "stops with tables", slice(2, None, 7)),
+]
 
 
 @pytest.mark.parametrize(("kind", "regime", "part"), [*FEW, *attacks(ALL)])

@@ -1,0 +1,251 @@
+"""Springs and stops from tables: stops with a gap, elements that add up, signs by heading, preload, and measured loops."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from models.roads.road import Bump
+from models.vehicle.limits_and_implementation import read_limits
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main
+from sim.inspect.__main__ import main as inspect
+from synth.vehicle.designer import design
+from tests.support.analysed import simulate
+from tests.support.commands import prose, refused
+
+STOP = "compression [mm],force [N]\n-80,0\n0,0\n20,0\n30,900\n40,2600\n50,5600\n60,11000\n"
+SPRING = "Spring compression [mm];Load [kN]\n0;0\n100;2,0\n150;3,1\n200;4,5\n250;6,2\n"
+OF_FILE = '[curves]\nsuspension_stiffness = { file = "a.csv" }'
+
+
+def read_with(folder, more, kind="quarter_car", **files) -> Vehicle:
+    """A vehicle that ships, with more sections and files next to it, and without the parameters that the sections have."""
+    for name, content in files.items():
+        (folder / f"{name}.csv").write_text(content)
+    text = read_vehicle(kind).text
+    for name in re.findall(r"(?m)^suspension_(?:stiffness|damping)\w*", more):
+        text = re.sub(rf"(?m)^{name} = .*\n", "", text)
+    (folder / "mine.toml").write_text(f"{text}\n{more}\n")
+    return read_vehicle(folder / "mine.toml")
+
+
+def driven(folder, capsys):
+    """What `sim.bump` prints of the vehicle there, on stdout and stderr."""
+    capsys.readouterr()
+    arguments = ["--vehicle", str(folder / "mine.toml"), "--controller", "passive", "--duration", "1", "--logs", str(folder)]
+    assert main(arguments) == 0
+    return map(prose, capsys.readouterr())
+
+
+def held(x, table_x, table_force):
+    """Force of a table: 0 before its first point, straight between its points, and straight on beyond the last one."""
+    last = (table_force[-1] - table_force[-2]) / (table_x[-1] - table_x[-2])
+    return np.interp(x, table_x, table_force) + last * np.maximum(x - table_x[-1], 0.0)
+
+
+def integrated(vehicle: Vehicle, pull, road: Bump, time):
+    """Suspension deflections of a passive car over a bump, shape (T, corners), by Runge and Kutta's fourth-order method.
+
+    Newton's equations of a rigid body on N corners, turned by small angles, with the road held at its middle over every step.
+    `pull` has the springs' forces over the deflections.
+    """
+    p, corners = vehicle.parameters, [part.corner for part in vehicle.kind.suspensions]
+
+    def of(name):
+        return np.array([p.get(f"{name}_{corner.split('_')[0]}", p.get(name, 0.0)) for corner in corners])
+
+    x = of("axle_distance") * [1 if one.startswith("front") else -1 for one in corners]
+    y = of("track") / 2 * [one.endswith("left") - one.endswith("right") for one in corners]
+    m, c, k = of("unsprung_mass"), of("suspension_damping"), of("tyre_stiffness")
+    inertia = np.array([p["sprung_mass"], p.get("pitch_inertia", 1.0), p.get("roll_inertia", 1.0)])
+    arms = np.stack([np.ones_like(x), -x, y])  # of heave, of pitch with the nose down, and of roll to the right
+    n, h, late = len(corners), float(time[1]), (x.max() - x) / road.speed
+
+    def rate(state, z_r):
+        body, wheels, v_body, v_wheels = np.split(state, [3, 3 + n, 6 + n])
+        force = pull(body @ arms - wheels) + c * (v_body @ arms - v_wheels)
+        return np.concatenate([v_body, v_wheels, -(arms @ force) / inertia, (force - k * (wheels - z_r)) / m])
+
+    state, found = np.zeros(2 * (3 + n)), []
+    for t in time:
+        found.append(state[:3] @ arms - state[3 : 3 + n])
+        z_r = np.array([float(road.displacement(np.array(t + h / 2 - one))) for one in late])
+        k1 = rate(state, z_r)
+        k2 = rate(state + h / 2 * k1, z_r)
+        k3 = rate(state + h / 2 * k2, z_r)
+        k4 = rate(state + h * k3, z_r)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return np.array(found)
+
+
+ELEMENTS = """[
+    15e3,
+    { deflection = [-1e-4, -2e-5, 0, 1e-4], force = [-0.9, -0.1, 0, 0.4] },
+    { compression = [3e-5, 1e-4], force = [0, 3] },
+]"""
+STOPS = """[limits.stop]
+bump = { compression = [2e-5, 6e-5, 1e-4], force = [0, 4, 16] }
+rebound = { deflection = [0, 1e-5, 5e-5], force = [0, 0, 6] }
+"""
+
+
+@pytest.mark.parametrize("fault", [1.0, 1.02])
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_an_own_integration_has_the_same_motion(tmp_path, kind, fault):
+    """Springs and stops with gaps, whose forces add up, move a car as Newton's equations integrated here; 2 % does not."""
+    names = [""] if kind == "quarter_car" else ["_front", "_rear"]
+    more = "[curves]\n" + "\n".join(f"suspension_stiffness{name} = {ELEMENTS}" for name in names)
+    vehicle = read_with(tmp_path, f"{more}\n{STOPS}", kind)
+    road, time = Bump(height=2.4e-4, length=2.0, speed=12.5), np.arange(500) * 1e-3
+
+    def pull(d):
+        second = np.interp(d, [-1e-4, -2e-5, 0, 1e-4], [-0.9, -0.1, 0, 0.4])
+        second += 1e4 * np.minimum(d + 1e-4, 0) + 4e3 * np.maximum(d - 1e-4, 0)
+        stops = held(d, [1e-5, 5e-5], [0, 6 * fault]) - held(-d, [2e-5, 6e-5, 1e-4], [0, 4, 16])
+        return 15e3 * d + second - held(-d, [3e-5, 1e-4], [0, 3]) + stops
+
+    expected = integrated(vehicle, pull, road, time)
+    physics = simulate([vehicle], [design(vehicle, "passive")], [road], time).run(0)
+    assert -expected.min() > 1e-4
+    assert expected.max() > 5e-5, "beyond all tables"
+    apart = [np.abs(physics[part.deflection] - expected[:, i]).max() for i, part in enumerate(vehicle.kind.suspensions)]
+    assert (max(apart) < 1e-6 * np.abs(expected).max()) == (fault == 1), apart  # the angles' cosines leave 2e-7
+
+
+BESIDE = '[curves]\nsuspension_stiffness = [\n  "14 kN/m",  # the coil\n  { file = "bump.csv" },\n]'
+
+
+@pytest.mark.parametrize("more", ['[limits]\nstop = "bump.csv"', '[limits.stop]\nbump = "bump.csv"', BESIDE])
+def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more):
+    """Compression is minus deflection: as a stop or beside the spring, the table pushes the body up, and logs prove it."""
+    vehicle = read_with(tmp_path, more, bump=STOP)
+    d, stops = np.linspace(-0.08, 0.08, 161), vehicle.limits.stops_at("")
+    found = stops.pull(d) if stops else vehicle.curves["suspension_stiffness"](d) - 14e3 * d
+    np.testing.assert_allclose(found, -held(-d, [0.02, 0.03, 0.04, 0.05, 0.06], [0, 900, 2600, 5600, 11000]), atol=1e-8)
+    assert tmp_path / "bump.csv" in vehicle.files
+    (tmp_path / "bump.csv").unlink()
+    (tmp_path / "mine.toml").write_text(vehicle.text)
+    assert read_vehicle(tmp_path / "mine.toml").limits == vehicle.limits
+    said, _ = driven(tmp_path, capsys)
+    assert "agrees" in said
+    assert stops is None or "(bump stop)" in said
+    assert inspect([str(log) for log in tmp_path.glob("*.mcap")]) == 0
+
+
+def test_stops_of_axles_with_tables_and_strokes(tmp_path):
+    """A table with a stroke is over the compression of both stops, also from MATLAB; an axle may have others; a log has all."""
+    savemat(tmp_path / "own.mat", {"compression_mm": [0.0, 10.0, 20.0], "force_kN": [0.0, 1.0, 4.0]})
+    more = '[limits]\nsuspension_stroke = { bump = 0.06, rebound = 0.07 }\nstop = { file = "own.mat" }\n'
+    vehicle = read_with(tmp_path, f"{more}[limits.rear]\nstop_stiffness = 1e5", "half_car")
+    front, rear = (vehicle.limits.stops_at(one) for one in ("front", "rear"))
+    assert front is not None
+    assert rear is not None
+    assert front.pull(np.array([-0.08, -0.06, 0.0, 0.08])).tolist() == pytest.approx([-4000, 0, 0, 1000], abs=1e-9)
+    assert front.work(np.array([-0.08])) == pytest.approx(0.01 * 500 + 0.01 * 2500)
+    assert rear.pull(np.array([-0.08])) == pytest.approx(-2000)
+    record = {key: one for key, one in json.loads(json.dumps(vehicle.limits.record)).items() if not key.startswith("actuator")}
+    assert read_limits(record, vehicle.kind.suspensions) == vehicle.limits
+    words = "bump stops with tables at -0.06 m in bump and +0.07 m in rebound (front)"
+    assert vehicle.limits.phrases(vehicle.kind.suspensions)[0] == words
+
+
+SIGNS = {
+    "bump travel [mm], force [N]": -1,
+    "jounce_mm, spring_force_N": -1,
+    "Deflection [mm], Load [N]": 1,
+    "droop (mm), force (N)": 1,
+}
+
+
+@pytest.mark.parametrize(("heading", "sign"), SIGNS.items())
+def test_a_heading_decides_the_sign(tmp_path, heading, sign):
+    """Compression, bump and jounce are positive in compression; extension, rebound, droop and deflection in extension."""
+    vehicle = read_with(tmp_path, OF_FILE, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
+    found = vehicle.curves["suspension_stiffness"](np.array([-0.05, 0.05]))
+    assert found == pytest.approx([-900, 1500] if sign > 0 else [-1500, 900])
+
+
+@pytest.mark.parametrize("heading", ["displacement [mm], force [N]", "x, F", "travel [mm], load [N]"])
+@pytest.mark.parametrize("more", [OF_FILE, '[limits]\nstop = "a.csv"'])
+def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
+    """A spring's or a stop's table that does not tell which direction is positive is refused with that question."""
+    with refused("column 1 is called", "which direction is positive? Write compression or extension above it"):
+        read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('"bump.csv"\nsuspension_stroke = 0.07', "its table has a gap of 0.02 m, and suspension_stroke is 0.07 m; omit one"),
+        ("{ compression = [0, 0.01], force = [0, 500] }", "pushes back with 500 N at 0.01 m, without a point of contact"),
+        ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
+        ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its force falls to 400 N at its end"),
+        ("{ compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force against bump or rebound"),
+        ("{ compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
+        ("{ velocity = [0, 1], force = [0, 500] }", "unknown key 'velocity'"),
+        ("{ compression = [0.01, 0.02] }\nstop_stiffness = 3", "two names of one key; omit one"),
+        ("1e5", "make a bump stop together"),
+    ],
+)
+def test_a_stop_that_is_none(tmp_path, more, said):
+    """Whatever is wrong with a stop's table is one line that says what, and what to give."""
+    with refused(said, "[limits]"):
+        read_with(tmp_path, f"[limits]\nstop = {more}", bump=STOP)
+
+
+def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
+    """With `preload` the table begins where the spring carries its corner's load; without, the difference is a warning."""
+    second = "{ deflection = [-0.1, 0, 0.1], force = [-2e3, -600, 800] }"
+    more = '[curves]\nsuspension_stiffness_front = { file = "spring.csv", preload = true }\n'
+    more += f'suspension_stiffness_rear = [{{ file = "spring.csv", preload = true }}, {second}]'
+    vehicle, x = read_with(tmp_path, more, "full_car", spring=SPRING), np.array([-0.02, 0.0, 0.03])
+    a, b = (vehicle.parameters[f"axle_distance_{axle}"] for axle in ("front", "rear"))
+    squeeze, push = np.array([0, 0.1, 0.15, 0.2, 0.25]), np.array([0, 2000, 3100, 4500, 6200])
+    for axle, arm, slope, other in (("front", b, 0, 0), ("rear", a, 14e3, 600)):
+        carried = vehicle.parameters["sprung_mass"] * 9.81 / 2 * arm / (a + b) - other
+        expected = carried - np.interp(np.interp(carried, push, squeeze) - x, squeeze, push) + slope * x
+        np.testing.assert_allclose(vehicle.curves[f"suspension_stiffness_{axle}"](x), expected, atol=1e-8)
+    assert vehicle.doubts == []
+
+    # The rear axle of an SUV in DYNA4's format, from a public repository: over compression, with the load of its own body at 0.
+    own = "[curves]\nsuspension_stiffness = { compression = [-0.0745, 0, 0.0905], force = [1898, 4756, 9323] }\n[limits.stop]\n"
+    own += "bump = { compression = [0.017, 0.027, 0.037, 0.067, 0.077, 0.0905], force = [0, 250, 550, 2100, 4700, 30e3] }"
+    weight, vehicle = 504.5 * 9.81, read_with(tmp_path, own)
+    assert vehicle.limits.stops(vehicle.kind.suspensions)["suspension_deflection"].pull(np.array([-0.072])) == pytest.approx(
+        -3400
+    )
+    said, warned = driven(tmp_path, capsys)
+    assert "agrees" in said
+    assert f"carries 4756 N at rest, and the static load is {weight:.1f} N, a difference of {weight - 4756:+.1f} N" in warned
+    assert read_with(tmp_path, own.replace(" }", f", preload = {weight} }}", 1)).doubts == []
+    with refused("its table carries 1898 to 9323 N, and 10000 N rest on it"):
+        read_with(tmp_path, own.replace(" }", ', preload = "10 kN" }', 1))
+    with refused("or preload = true for a table that begins at the free length"):
+        read_with(tmp_path, OF_FILE, a=SPRING)
+
+
+def test_a_measured_loop_is_its_mean(tmp_path, capsys):
+    """Points that go round, of a sine test with gas, noise and hysteresis, are their mean, and the hysteresis is reported."""
+    rng, turn = np.random.default_rng(0), 2 * np.pi * np.arange(3000) / 1000
+
+    def mean(v):
+        return np.where(v > 0, 1900 * np.tanh(v / 0.35), 700 * np.tanh(v / 0.25))
+
+    force = mean(0.6 * np.sin(turn)) + 80 * np.cos(turn) + 150 + rng.normal(0, 3, len(turn))
+    rows = zip(turn / 6.28, -95.5 * np.cos(turn), 600 * np.sin(turn), force, strict=True)
+    sheet = "time [s],displacement [mm],velocity [mm/s],force [N]\n" + "\n".join(
+        ",".join(f"{x:.4f}" for x in row) for row in rows
+    )
+    vehicle = read_with(tmp_path, '[curves]\nsuspension_damping = { file = "a.csv" }', a=sheet)
+    curve, x = vehicle.curves["suspension_damping"], np.linspace(-0.59, 0.59, 119)
+    assert np.abs(curve(x) - mean(x)).max() < 0.01 * 1776  # 0.5 % of thinning, and noise
+    (note,) = vehicle.doubts
+    most, where, rest = (float(found) for found in re.findall(r"(-?[\d.]+) (?:N either|m/s|N at rest)", note))
+    assert most == pytest.approx(80, abs=6)  # twice the noise
+    assert abs(where) < 0.2  # where the cosine is flat
+    assert rest == pytest.approx(150, abs=6)
+    assert parse_vehicle(vehicle.text).curves["suspension_damping"].words == curve.words
+    assert note in list(driven(tmp_path, capsys))[1]
