@@ -158,7 +158,7 @@ def test_a_published_design_of_absolute_states():
      "study = true, and measures no height"),
     ("gain = ", 'order = "full"\n#', "only a law that is given measures heights"),
     ("study = true", "study = 1", "study = 1 is not allowed; give true or false"),
-    ("suspension_deflection = 0.1", "suspension_deflection = { numerator = [1.0], denominator = [1.0, 0.0] }", "leave no integral"),
+    ("suspension_deflection = 0.1", "suspension_deflection = { numerator = [1.0], denominator = [1.0, 0] }", "leave no integral"),
 ])  # fmt: skip
 def test_refused(old, new, said):
     """Heights need the key, the key needs heights, and neither designs nor integrals go with them: one line each."""
