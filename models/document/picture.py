@@ -37,7 +37,7 @@ DASHES: dict[str, Any] = {
     "longdash": (0, (8, 2)),
     "none": "",
 }
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": FONT,
     "text.parse_math": False,
     "axes.xmargin": 0.04,

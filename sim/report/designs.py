@@ -105,7 +105,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     if not controller.measured:
         return None
     kind, forces, law = vehicle.kind, vehicle.linear_model.inputs, controller.law
-    entries, headings = controller.law.D, [force.replace("_", " ") for force in forces]
+    unit, entries, headings = kind.signal(forces[0]).unit, law.D, [force.replace("_", " ") for force in forces]
     caption = f"Gain of {as_name(controller.name)}: force per unit of each measured signal."
     if law.states:
         at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]
@@ -113,7 +113,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
         together = " of all forces together" if len(forces) > 1 else ""
         caption = f"Law of {as_name(controller.name)}, {states_text(law)}: force amplitude{together} per unit of each signal."
     rows = tuple(
-        (name.replace("_", " "), per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit), *map(ENTRY.digits, row))
+        (name.replace("_", " "), per_unit(unit, kind.signal(name).unit), *map(ENTRY.digits, row))
         for name, row in zip(controller.measured, entries.T.tolist(), strict=True)
     )
     return Table(f"gain-{controller.name}", caption, ("for each", "unit", *headings), rows, words=2)
