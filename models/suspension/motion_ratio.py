@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 SMALLEST, LARGEST = 0.05, 5.0
 LEAST_ERROR, COARSER = 1e-5, 1.5  # of the lines, over the largest force, raised until there are as few as MuJoCo has for a curve
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
+PLACES = 9  # decimal places of a deflection [m] at which tables have a point
 FINE = 801  # points of P, of which the lines take some
 
 
@@ -112,9 +114,17 @@ class RatioTable:
         return ForceCurve(np.array([x[0], 0.0, x[1]]), slope * np.array([x[0], 0.0, x[1]]), slope, "a line")
 
     def damper(self, curve: ForceCurve) -> ForceSurface:
-        """Returns the force of a damper at the wheel over velocity and deflection."""
-        over = np.repeat(curve.force[:, None], len(self.x), axis=1)
-        surface = surface_of(curve.x, self.x, over, f"{curve.words}, at its motion ratio", self.ratio)
+        """Returns the force of a damper at the wheel over velocity and deflection.
+
+        One that is position-dependent has the forces of its table at the deflections of both tables and at `COLUMNS` more, and is
+        straight between.
+        """
+        d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
+        if isinstance(curve, ForceSurface):
+            ends, v = self.deflection(curve.deflections), curve.velocities
+            d = np.unique(np.round([0.0, *self.x, *ends, *np.linspace(ends[0], ends[-1], COLUMNS)], PLACES))
+            table = curve.along(v[:, None], self.travel(d))
+        surface = surface_of(v, d, table, f"{curve.words}, at its motion ratio", self(d))
         return replace(surface, slope=self.at_rest**2 * curve.slope)
 
     def stops(self, stops: "Stops") -> "Stops":
