@@ -7,7 +7,42 @@ if __name__ == "__main__":
 
 from collections.abc import Sequence
 
-from sim.command.drive_options import parser, requested_road
+from models.common.command import Parser
+from sim.command.road_options import add_loads, add_road, add_run_options, add_vehicles, requested_road
+
+EPILOG = """
+exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
+cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there, without metrics.
+
+examples:
+  python -m sim.drive --controller I --class C --speed 20
+  python -m sim.drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
+  python -m sim.drive --controller I --road step:height=0.04 --band 5
+  python -m sim.drive --controller I --road measured.csv --speed 15 --json
+  python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
+  python -m sim.drive --vehicle full_car --controller I --class B --seed 7
+  python -m sim.drive --vehicle my_car.toml --vehicle van.toml --controller all --class C --speed 25
+  python -m sim.drive --vehicle my_car.toml --controller mine --road bump --without noise --without delay
+  python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
+  python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
+"""
+
+
+def parser() -> Parser:
+    """The options."""
+    parser = Parser(
+        "sim.drive",
+        "Drive over a road in MuJoCo and in linear analysis, compare the responses, measure the ride, and record it.",
+        EPILOG,
+    )
+    add_vehicles(parser)
+    add_road(parser, "C")
+    add_loads(parser, "load on the body; the road is flat if no road is given")
+    parser.add_number(
+        "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
+    )
+    add_run_options(parser, 20.0)
+    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,6 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -217,28 +216,3 @@ def command(words: Sequence[str]) -> list[str]:
         else:
             line = f"{line} {word}"
     return [*lines, Whole(line)]
-
-
-def html_table(title: str, rows: Iterable[Sequence[str]]) -> str:
-    """Returns rows as an HTML table for a notebook, escaped. The first cell of each is its heading."""
-    body = "".join(
-        f"<tr><th>{escape(name)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for name, *cells in rows
-    )
-    return f"<table><caption>{escape(title)}</caption>{body}</table>"
-
-
-class Shown:
-    """Object shown as text at a prompt and as a table in a notebook. A dataclass must set `repr=False`."""
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Title, and rows below it by name."""
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        title, rows = self.shown
-        return "\n".join([title, *(f"  {name}: {text}" for name, text in rows.items())])
-
-    def _repr_html_(self) -> str:
-        title, rows = self.shown
-        return html_table(title, rows.items())

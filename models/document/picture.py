@@ -3,12 +3,10 @@
 Lengths are in px. A px is 1/72 inch, so a font size in px is one in points.
 """
 
-import os
 import re
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -21,7 +19,7 @@ from models.common.errors import InputError
 from models.common.files import whole_file
 from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
-from models.document.reading import cut, drawn_text, isolated, notation, quoted_code, text_width, wrapped
+from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrapped
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
 SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
@@ -29,6 +27,7 @@ EDGE, TOP, BOTTOM, RIGHT, SCALE = 10, 24, 44, 22, 84  # margins of a picture and
 ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above, and of the bar; width of a line in a legend
 BOLD = 1.12  # width of bold letters over that of others
 LONGEST = 24  # letters of a name in a legend
+DARKEST = 0.6  # of matplotlib's colours, as a share; on darker ones a line is not legible
 FAR = 1e6  # end of a span with an infinite end
 DASHES: dict[str, Any] = {
     "solid": "-",
@@ -57,28 +56,15 @@ def check_drawing() -> None:
         InputError: matplotlib is not installed.
     """
     try:
-        _matplotlib()
+        import matplotlib  # noqa: F401
     except ImportError:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
 
 
-def _matplotlib() -> Any:
-    """Imports matplotlib. The environment's MPLBACKEND may name a backend that is not installed; nothing here needs one."""
-    given = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
-    try:
-        import matplotlib
-    finally:
-        if given is not None:
-            os.environ["MPLBACKEND"] = given
-    if given:
-        with suppress(ValueError):
-            matplotlib.rcParams["backend"] = given  # as matplotlib does, for the other code of this process
-    return matplotlib
-
-
 @contextmanager
 def _settings() -> Iterator[None]:
-    matplotlib = _matplotlib()
+    import matplotlib
+
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
         # Letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
         warnings.simplefilter("ignore", UserWarning)
@@ -194,7 +180,7 @@ def _key(entry: Entry, x: Array, height: float) -> Any:
 
     y = np.full(3, height)
     if entry.ground:
-        return Line2D(x, y, color=entry.color, linestyle="", marker="s", markersize=11, markevery=[1], gid="ground")
+        return Line2D(x, y, color=entry.color, linestyle="", marker="s", markersize=11, markevery=[1])
     look = _look(entry.color, entry.marker, entry.filled)
     return Line2D(x, y, linestyle=DASHES[entry.dash], linewidth=entry.width, markevery=[1], **look)
 
@@ -240,7 +226,6 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
     elif isinstance(panel.ground, Shades) and image is not None:
         scale = sheet.canvas.add_axes(sheet.box(left + width + 14, top + TOP, 12, height))
         colors: Any = sheet.canvas.colorbar(image, cax=scale)
-        colors.solids.set_gid("ground")
         levels, labels = ticks(scale.get_ylim(), log=False)
         colors.set_ticks(levels, labels=labels)
         sheet.write(left - inner + size[0] - 4, top + 14, panel.ground.label, ha="right")
@@ -271,18 +256,22 @@ def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> A
         for i, color in enumerate(ground.colors):
             if np.any(ground.kind == i):
                 outline = cells(ground.kind == i, ground.x, ground.y)
-                axis.add_patch(PathPatch(outline, facecolor=color, linewidth=0, antialiased=False, gid="ground", zorder=0))
+                axis.add_patch(PathPatch(outline, facecolor=color, linewidth=0, antialiased=False, zorder=0))
         for text, row, column in ground.labels:
             axis.text(ground.x[column], ground.y[row], text, ha="center", va="center")
         axis.set(xlim=_edges(ground.x)[[0, -1]], ylim=_edges(ground.y)[[0, -1]])
     elif isinstance(ground, Shades):
+        from matplotlib import colormaps
+        from matplotlib.colors import ListedColormap
+
         axis.set(xlim=(ground.x[0], ground.x[-1]), ylim=(ground.y[0], ground.y[-1]))
         if np.isfinite(ground.z).any():
             z = np.ma.masked_invalid(ground.z)
-            return axis.contourf(ground.x, ground.y, z, levels=12, cmap="YlOrBr", gid="ground")
+            shades = ListedColormap(colormaps["YlOrBr"](np.linspace(0, DARKEST, 256)))
+            return axis.contourf(ground.x, ground.y, z, levels=12, cmap=shades)
     elif isinstance(ground, Spans):
         for low, high in ground.ends:
-            axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0, gid="ground")
+            axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
     return None
 
 
@@ -356,12 +345,10 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
 # SVG inside a page: text stays text; presentation attributes instead of styles, which a page's policy refuses; no identifiers but
 # those that are referred to; two decimals.
 
-OF_GROUPS = re.compile(r'<g id="(?!ground")[^"]*"')
 MARK = "\0"
-SHAPE = re.compile(r'(<path id="[^"]*" d="[^"]*") stroke="[^"]*"')  # what refers to it has the colour, which a page may change
 STYLE = re.compile(r' style="([^"]*)"')
-TEXT = re.compile(r"(<text[^>]*>)([^<]*)(</text>)")
-CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""))
+ELEMENT = re.compile(r"<[^>]*>")
+CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""), (r'<g id="[^"]*"', "<g"))
 
 
 def panel_svg(panel: Panel, name: str) -> str:
@@ -406,21 +393,14 @@ def _inside(sheet: _Sheet) -> str:
     drawn = drawn[drawn.index('<g id="figure_1">') : drawn.rindex("</svg>")]
     for pattern, to in CLEAN:
         drawn = re.sub(pattern, to, drawn)
-    drawn = OF_GROUPS.sub("<g", drawn).replace('<g id="ground"', '<g class="ground"')
-    pieces = TEXT.split(drawn)
-    for k, piece in enumerate(pieces):
-        if k % 4 == 2:
-            pieces[k] = isolated(piece)
-        else:
-            piece = STYLE.sub(_attributes, piece)
-            piece = re.sub(r"(\.\d\d)\d+", r"\1", piece).replace("#000000", "currentColor").replace("xlink:href", "href")
-            piece = SHAPE.sub(r"\1", piece)
-            pieces[k] = re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", piece)
-    return "".join(pieces)
+    return ELEMENT.sub(lambda element: _clean(element[0]), drawn)
 
 
-def _attributes(style: re.Match[str]) -> str:
-    return _as_attributes(style[1])
+def _clean(element: str) -> str:
+    """Returns an element without its content, with presentation attributes and `MARK` in front of identifiers."""
+    element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
+    element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
+    return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)
 
 
 @lru_cache(maxsize=1024)

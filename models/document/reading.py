@@ -13,18 +13,15 @@ from itertools import count
 from string import ascii_lowercase
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-NUMBER = re.compile(r"([+-]?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?( %)?")
+NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
 UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # a number stays on a line with its unit
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED = re.compile(r"\b(m|rad)/s2\b")
-NOTHING = 1e-9  # of a column's largest number: less is rounding
-DIGITS = 3  # that a number keeps where a column has fixed decimals
 LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
-WIDE = "\u2007\u2008"  # as wide as a digit, and as a point
+DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as these
 MANY = 10  # rows; a longer table is folded
 LONG_NAME = 16  # letters; a line may break within longer names
-OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
 # A name ends at spaces and punctuation other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
@@ -141,59 +138,28 @@ def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Returns numbers with a common number of decimals that keeps three digits of each; rounding errors become 0.
-
-    Figure spaces align the decimal points of others. A column with an other word than - is unchanged.
-    """
-    if any(cell.endswith("*") for cell in column):  # the best is marked
-        marks = ["*" if cell.endswith("*") else BLANK for cell in column]
-        cells = zip(aligned([cell.removesuffix("*") for cell in column]), marks, strict=True)
-        return [f"{cell.rstrip(WIDE)}{mark}{cell[len(cell.rstrip(WIDE)) :]}" for cell, mark in cells]
+    """Returns numbers with their points below each other, by figure spaces. A column with an other word than - is unchanged."""
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)
-    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(matches, column, strict=True)]
-    least = NOTHING * max(map(abs, values))
-    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(matches, values, column, strict=True)]
-    matches = [NUMBER.fullmatch(cell) for cell in cells]
-    decimals = [
-        len(one[3] or "") for one, value in zip(matches, values, strict=True) if one and not one[4] and one[0] != "0" and value
-    ]
-    fixed = min(decimals, default=0)
-    sizes = [value for value in map(abs, values) if value > least]
-    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in sizes)
-    fits = fits and not any(one and one[4] for one in matches)
-    most = fixed if fits else max((len(one[3] or "") for one in matches if one and not one[4]), default=0)
+    most = max(len(one[2] or "") for one in matches if one)
+    marked = any(one and one[4] == "*" for one in matches)
     texts = []
-    for one, cell in zip(matches, cells, strict=True):
+    for one, cell in zip(matches, column, strict=True):
         if one is None:
             texts.append(cell)
             continue
-        number = cell.removesuffix(" %")
-        if one[4]:
-            texts.append(notation(number).replace("-", "−"))
-            continue
-        if fits and number != "0":
-            number = f"{float(number):.{fixed}f}"
-        elif most and not one[5]:
-            decimals = len(one[3] or "")
-            number += ("" if decimals else "\u2008") + "\u2007" * (most - decimals)  # as wide as a point, and as digits
-        texts.append(number.replace("-", "−") + (one[5] or ""))
+        size = len(one[2] or "")
+        space = ("" if size else POINT) * bool(most) + DIGIT * (most - size) if not one[3] else ""
+        mark = one[4] or BLANK * marked
+        sign, number = ("−", one[1][1:]) if cell.startswith("-") else ("", one[1])
+        texts.append(f"{sign}{notation(number + (one[3] or ''))}{mark}{space}")
     return texts
 
 
-# A page's texts are English, and names of controllers and files may be from right to left. Such a name would reverse the order of
-# numbers and commas next to it (Unicode Bidirectional Algorithm, UAX #9); an isolate prevents that.
-
-
-def isolated(text: str) -> str:
-    """Returns a text with characters that isolate its names from right to left."""
-    return NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text)
-
-
 def drawn_text(text: str) -> str:
-    """Returns a text for SVG and attributes: escaped, with isolated names and quoted code."""
-    return escape(quoted_code(isolated(text)))
+    """Returns a text for SVG and attributes: escaped, with quotes around code."""
+    return escape(quoted_code(text))
 
 
 def quoted_code(text: str) -> str:
@@ -202,20 +168,17 @@ def quoted_code(text: str) -> str:
 
 
 def page_text(text: str) -> str:
-    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, within which lines may break.
+    """Returns a text as HTML. What is in backticks is a `code` element.
 
-    What is in backticks is a `code` element.
+    Long names are `bdi` elements, within which lines may break, as are names from right to left, which would reverse the order
+    of numbers and commas next to them (Unicode Bidirectional Algorithm, UAX #9).
     """
-    pieces, at = [], 0
-    for name in NAME.finditer(text):
-        if _leftward(name[0]) or len(name[0]) > LONG_NAME:
-            pieces += [escape(text[at : name.start()]), f"<bdi>{escape(name[0])}</bdi>"]
-            at = name.end()
-    return re.sub("`([^`]+)`", r"<code>\1</code>", "".join([*pieces, escape(text[at:])]))
+    return re.sub("`([^`]+)`", r"<code>\1</code>", NAME.sub(_apart, escape(text)))
 
 
-def _leftward(name: str) -> bool:
-    return not name.isascii() and any(unicodedata.bidirectional(letter) in ("R", "AL", "AN") for letter in name)
+def _apart(name: re.Match[str]) -> str:
+    leftward = not name[0].isascii() and any(unicodedata.bidirectional(letter) in ("R", "AL", "AN") for letter in name[0])
+    return f"<bdi>{name[0]}</bdi>" if leftward or len(name[0]) > LONG_NAME else name[0]
 
 
 def text_width(text: str, size: float) -> float:

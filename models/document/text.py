@@ -1,10 +1,12 @@
-"""Documents as text: lines of at most 80 columns for a terminal, and Markdown."""
+"""Documents as text: lines of at most 80 columns for a terminal and a prompt, and Markdown."""
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
+from models.common.errors import InputError
 from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fitted, table, wrapped
-from models.document.document import NOTE, Detail, Document, Statement, Table, is_shown
+from models.document.document import NOTE, Block, Detail, Document, Statement, Table, is_shown, notes
 
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # lines of a heading, at most
@@ -125,3 +127,35 @@ def markdown(document: Document, level: int = 2) -> str:
         elif isinstance(block, Document):
             parts.append(markdown(block, level + 1))
     return "\n\n".join(parts)
+
+
+class Shown:
+    """Result that a prompt shows as text and a notebook as HTML, both from its document. A dataclass must set `repr=False`."""
+
+    @property
+    def shown(self) -> Document:
+        """The result as a document."""
+        raise NotImplementedError
+
+    @property
+    def drawn(self) -> tuple[Block, ...]:
+        """Figures and tables that a notebook shows below the document."""
+        return ()
+
+    def __repr__(self) -> str:
+        return "\n".join(text_lines(self.shown))
+
+    def _repr_html_(self) -> str | None:
+        from models.document.page import check_page, fragment
+
+        try:
+            check_page()
+        except InputError:  # a notebook shows the text
+            return None
+        document = self.shown
+        return fragment(replace(document, blocks=(*document.blocks, *self.drawn)))
+
+
+def facts(title: str, rows: Mapping[str, str]) -> Document:
+    """Returns a document with a line for each fact, by name; empty ones are left out."""
+    return Document(title, notes(*(f"{name}: {text}" for name, text in rows.items() if text), detail="brief"))

@@ -11,7 +11,6 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
 from models.common.errors import InputError, alike
-from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     CONTROL_FORCE,
@@ -510,25 +509,3 @@ class VehicleKind(Checked):
 def _written(content: bytes) -> VehicleKind:
     """Returns a kind of a user's own from its pickled fields."""
     return VehicleKind(**pickle.loads(content))
-
-
-class ShownVehicle(Shown):
-    """Short description of a vehicle, as text or table."""
-
-    kind: VehicleKind
-    parameters: Mapping[str, float]
-    performance: Mapping[str, float]
-    controllers: Mapping[str, Any]
-    source: str
-
-    @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Kind and file, then parameters, weights and controllers."""
-        units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
-        return f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}", {
-            "parameters": ", ".join(
-                f"{name} {value:g} {units.get(name, '')}".rstrip() for name, value in self.parameters.items()
-            ),
-            "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
-            "controllers": ", ".join(("passive", "state", *self.controllers)),
-        }

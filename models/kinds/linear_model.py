@@ -114,6 +114,10 @@ class LinearModel:
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
+    def over_datum(self, signals: Collection[str]) -> list[str]:
+        """Returns those of some signals that are heights over the datum of a flat road: a law for study may measure these."""
+        return [name for name in self.heights if name in signals]
+
     @property
     def tyres_damp(self) -> bool:
         """True if the road's velocity pushes a wheel."""

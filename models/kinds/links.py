@@ -134,7 +134,7 @@ def check_links(p: Parameters) -> None:
     if len(given) == 1:
         other = next(part.name for part in ROLL_CENTRES if part.name not in p)
         raise InputError(
-            f"{given[0]} is given and {other} is not; the body rolls about the axis through both: give both, or neither"
+            f"{given[0]} is given, but {other} is not; the body rolls about the axis through both: give both or neither"
         )
 
 

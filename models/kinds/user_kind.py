@@ -129,7 +129,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven
     forces = {suspension.force for suspension in kind.suspended or () if suspension.force}
     if model.tyres_damp:
-        raise InputError("linear_model gives Bt or Dw, of tyres that damp, which only built-in kinds have; omit them")
+        raise InputError("linear_model gives Bt or Dw, of tyres that damp, which only built-in vehicle types have; omit them")
     for what, given, wanted in (
         ("disturbances", model.disturbances, roads),
         ("loads", model.loads, tuple(load.name for load in kind.loads)),

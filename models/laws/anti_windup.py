@@ -35,7 +35,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     assert law.sample_period is not None, "it is discrete"
     if law.anti_windup * law.sample_period < SLACK:
         raise InputError(
-            f"anti_windup = {law.anti_windup:g} 1/s is lost in rounding at a sample period of {law.sample_period:g} s; give at "
+            f"anti_windup = {law.anti_windup:g} 1/s is below rounding at a sample period of {law.sample_period:g} s; give at "
             f"least {SLACK / law.sample_period:.2g}"
         )
     circle = float(np.exp(-law.anti_windup * law.sample_period))
@@ -46,8 +46,8 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     except (np.linalg.LinAlgError, ValueError):
         pass
     raise InputError(
-        f"anti_windup = {law.anti_windup:g}: a state of this law that is slower than that shows in no force, or hardly, so that "
-        "nothing tells it what is clipped; remove it from the law, or give a smaller rate"
+        f"anti_windup = {law.anti_windup:g}: a state of this law is slower than that and has almost no effect on "
+        "the forces, so it cannot tell what is clipped; remove it from the law, or give a smaller rate"
     )
 
 

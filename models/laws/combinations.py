@@ -34,6 +34,7 @@ DEMANDS = {  # beside a kind
     "lag": "`lag`",
     "sampled": "`sampled`",
     "loads": "`loads`",
+    "study": "`study`",
     "goals": "goals",
     "tolerance": "`tolerance`",
     "family": "`family`",
@@ -52,7 +53,7 @@ KEYS = (
     "goals",
     "force",
 )  # columns of the site's first table
-FLAGS = ("stable", "noise", "lag", "sampled")
+FLAGS = ("stable", "noise", "lag", "sampled", "study")
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
@@ -61,6 +62,7 @@ PREVIEW = "preview"  # a further one, of the state and the road ahead
 _OF_STATE = "it is of the state itself, which no sensor reads"
 _DESIGNED = "full order pid lqr lqg h2 preview"
 _GOALS = "goals tolerance family"
+_STUDIED = f"steps {_DESIGNED} semi_active"
 _NO_CLAIM = "it is used unchanged, and linear analysis does not apply to it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
@@ -82,6 +84,11 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("sampled", "gain states", "a law that is given is not designed"),
     ("sampled", "lqr lqg h2 preview", "what is designed for the sampled loop has the least norm, not the least mean square"),
     ("sampled", f"loads {_GOALS}", "what is designed for the sampled loop has the least norm, of road and noise alone"),
+    (
+        "study",
+        f"{_STUDIED} {_GOALS} weights refine front",
+        "only a law that is given measures heights, which no sensor on a car has",
+    ),
     ("loads", "lqr lqg h2 preview", "the mean square is of the road alone"),
     ("loads", _GOALS, "goals are of the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
@@ -98,7 +105,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
         f"gain states {_DESIGNED} stable anti_windup noise",
         "only gains of the two steps are designed again for a rate",
     ),
-    *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one != "force"),
+    *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one not in ("force", "study")),
 )
 REFUSED = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
 ONE_KIND = "a controller has one law, or one way to design it"

@@ -211,15 +211,15 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
     """
     if len(above) > len(below):
         raise InputError(
-            f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it differentiates, without end at "
-            "high frequencies; give a denominator of no lower degree"
+            f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: its gain grows without "
+            "limit at high frequencies; give a denominator of no lower degree"
         )
     if integrates and not below[-1] and len(below) > 1:
         if not above[-1]:
-            raise InputError("its pole at 0 is a zero, too; divide numerator and denominator by s")
+            raise InputError("its pole at 0 is cancelled by a zero; divide numerator and denominator by s")
         below = below[:-1]
         if not below[-1]:
-            raise InputError("its denominator has two roots at 0, an integral of an integral; give one")
+            raise InputError("its denominator has two roots at 0, a double integral; give one")
     if not _decays(below):
         advice = "; of poles on it a weight may have one at 0 rad/s, an integral" if integrates else ""
         raise InputError(f"its denominator has a root that is not left of the imaginary axis: the filter is not stable{advice}")

@@ -228,7 +228,7 @@ def read_goals(
     family = _family(where, entry.get("family"), parameters)
     if over == REGRET and not family:
         raise InputError(
-            f'{where} minimise has over = "regret", which needs a family; give family = [{{ ... }}, ...], or omit it'
+            f'{where} minimise has over = "regret", which needs a family; give one, family = [{{ ... }}, ...], or omit it'
         )
     return Goals(
         minimise,
@@ -330,7 +330,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
         more = ", relative: 0.1 is 10 %, or a table, { weight = ... }, for one that grows with frequency"
         number_within(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
     if FORCE in value and any(force in value for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
+        raise InputError(f"{where} tolerance names {FORCE}, for all forces, and one of them; give one or the other")
     return {name: float(share) for name, share in value.items()}
 
 
@@ -369,8 +369,8 @@ def read_structure(
         for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
             if not any(used):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", and {signal!r} is of no corner; measure signals that end as the forces do, '
-                    f"{listing(corners)}, or give structure as rows of 0 and 1, one row a force"
+                    f'{where} structure = "{CORNER}", and {signal!r} belongs to no corner; measure signals that end as the '
+                    f"forces do, {listing(corners)}, or give structure as rows of 0 and 1, one row for each force"
                 )
         for force, row in zip(corners, rows, strict=True):
             if not any(row):
@@ -381,8 +381,8 @@ def read_structure(
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
     if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
-            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or {len(corners)} row(s), one a force, of '
-            f"{len(measured)} numbers 0 or 1, one a measured signal"
+            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or {len(corners)} row(s), one for each force, '
+            f"of {len(measured)} numbers 0 or 1, one for each measured signal"
         )
     if not any(any(row) for row in value):
         raise InputError(f"{where} structure leaves no entry of the gain; give a 1 where a signal may act on a force")

@@ -103,7 +103,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     """
     table = table_within(f"{where} pid", entry["pid"], f"one, as in {EXAMPLE}")
     if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
-        raise InputError(f"{where} pid with {beside[0]}: a controller has one law; omit one of them")
+        raise InputError(f"{where} pid with {beside[0]}: a controller has only one law; omit one of them")
     rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
     check_keys(f"{where} pid", table, (*GAINS, FILTER))
     m = len(corners)

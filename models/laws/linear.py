@@ -147,7 +147,7 @@ class LinearLaw:
         sizes = np.linalg.svd(loop, compute_uv=False)
         if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
             raise InputError(
-                "its force acts on its measurements immediately, and I - D_c D is singular there: no force solves that loop; "
+                "its force changes its own measurements instantly, and I - D_c D is singular, so no force solves that loop; "
                 "change the gain on the accelerations, or filter them"
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
@@ -166,7 +166,7 @@ class LinearLaw:
             return replace(self, sample_period=None)
         root, shifted = np.sqrt(self.sample_period), self.A + np.eye(self.states)
         if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
-            raise InputError("a discrete controller with a pole at -1 has no continuous counterpart; move that pole")
+            raise InputError("a discrete controller with a pole at z = -1 has no continuous counterpart; move that pole")
         inverse = np.linalg.inv(shifted)
         try:
             return LinearLaw(

@@ -90,7 +90,7 @@ class PythonLaw:
         """
         path = self.path
         if path is None:
-            raise InputError(f"law {self.law}: the vehicle file was read from text alone, and no code comes with that")
+            raise InputError(f"law {self.law}: the vehicle file was read from text, so the law's code is not available")
         if self.is_fmu:
             content = read_bytes(path, "FMU", GIVE_FMU)
             digest, names = hashlib.sha256(content).hexdigest(), {**self.inputs, **self.outputs}
@@ -220,11 +220,11 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
             raise InputError(
-                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law without preview; omit one of them"
+                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law and has no preview; omit one of them"
             )
         return PythonLaw(fmu, None, folder, *(_names(where, key, entry.get(key, {})) for key in NAMES))
     if named := [key for key in NAMES if key in entry]:
-        raise InputError(f"{where} {named[0]} are names of variables of an FMU; name it by fmu, or omit them")
+        raise InputError(f"{where} {named[0]} name variables of an FMU; give the FMU with fmu, or omit them")
     if "law" not in entry:
         from models.laws.combinations import PREVIEW  # loads SciPy, which a child process that runs a law does not need
 

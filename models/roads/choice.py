@@ -27,7 +27,10 @@ UNITS = {  # of numbers of roads; all others are lengths
 RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # settings of a random road
 TABLE = ("distance_unit", "height_unit", "unit", "separator", "columns", "step")  # of a file with a table
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
-READ = "a .csv, .txt, .xlsx or .mat file has columns of distance and height, a .erd file is ERD, a .crg file is OpenCRG"
+READ = (
+    "a .csv, .txt, .xlsx or .mat file has columns of distance and height, a .erd file is ERD, a .rdf file has a poly_line, a "
+    ".crg file is OpenCRG"
+)
 Measured = TypeVar("Measured", Profile, Surface)
 RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
 

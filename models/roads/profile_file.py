@@ -2,8 +2,12 @@
 
 ERD is the format of the University of Michigan Transportation Research Institute, in which LTPP and ProVAL share profiles: a
 header of keywords, then heights at a constant step, of one or two tracks.
+
+RDF files are roads of tyre models in Adams and MotionView. Files of the type `poly_line` have a table of distance and of the
+heights of left and right track. Vehicles start at distance 0, which the table may begin well before.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +26,7 @@ TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", 
 UNITS = {"distance_unit": "distance", "height_unit": "height"}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
+RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
 SAY = "give the columns, as in :columns=1,3 or :columns=1,3,4, or correct the headings, or begin other lines with #"
 A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
@@ -54,7 +59,10 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
         if text.startswith(ERD):
             text, step = erd_text(text)
             given = {"step": step} | given
-        return _profile(text, speed, str(path), given)
+        if path.suffix.lower() != ".rdf":
+            return _profile(text, speed, str(path), given)
+        whole = _profile(rdf_text(text), speed, str(path), given)
+        return whole.begun_at(0.0) if whole.distance[0] < 0 < whole.distance[-1] and "from" not in given else whole
 
 
 def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> Profile:
@@ -151,6 +159,28 @@ def erd_text(text: str) -> tuple[str, str]:
     names = {1: ["height"], 2: ["left", "right"]}.get(len(names), names)
     headings = [f"{name} [{unit or 'm'}]" for name, unit in zip(names, units, strict=True)]
     return "\t".join(headings) + "\n" + numbers.replace(",", " "), f"{sizes[5]} {values.get('XUNITS', 'm').strip()}"
+
+
+def rdf_text(text: str) -> str:
+    """Returns the table of an RDF file of the type `poly_line` with headings, line for line.
+
+    Raises:
+        InputError: the road is of another type, or there is no table.
+    """
+    lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
+    values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
+    if (kind := values.get("ROAD_TYPE", "")) != "poly_line":
+        raise InputError(f"ROAD_TYPE = {quoted(kind)} is not read; give one of type 'poly_line', or its heights in a .csv file")
+    marks = [i for i, line in enumerate(lines) if line.upper() == RDF]
+    if not marks:
+        raise InputError(f"has no table {RDF} of distance, left and right height; give the whole file")
+    unit = values.get("LENGTH", "m")
+    begin, length = marks[0] + 1, RDF_UNITS.get(unit, unit)
+    rows = itertools.takewhile(lambda line: not line.startswith(("[", "(")), lines[begin:])
+    numbers = ["" if line.startswith("{") else line for line in rows]
+    count = max((len(line.split()) for line in numbers), default=0)
+    names = ["distance", "left", "right"] if count == 3 else ["distance", "height"]
+    return "\n" * (begin - 1) + "\t".join(f"{name} [{length}]" for name in names) + "\n" + "\n".join(numbers)
 
 
 def _check_commas(table: NumberTable) -> None:

@@ -234,14 +234,14 @@ def _knots(parts: Sequence[Array]) -> Array:
 
 
 def points(entry: Mapping[str, Any], over: Argument, of: str = "force") -> tuple[Array, Array]:
-    """Returns argument and force of a table, positive in extension, or argument and another quantity.
+    """Returns argument and force of a table, positive in extension; or argument and another quantity.
 
     Raises:
         InputError: a point is not a number, or the argument does not ascend, or is in a wrong unit.
     """
     if COMPRESSION in entry and over.name != COMPRESSION:
-        x, force = points(entry, replace(over, name=COMPRESSION))
-        return -x[::-1], -force[::-1]
+        x, force = points(entry, replace(over, name=COMPRESSION), of)
+        return -x[::-1], (-force if of == "force" else force)[::-1]
     x, force = _points(entry[over.name], over.name), _points(entry[of], of)
     if len(x) != len(force):
         raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of {of}; give as many")

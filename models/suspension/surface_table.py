@@ -24,6 +24,7 @@ NAMED = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity wit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
 COMPRESSION, EXTENSION = {"compression", "bump", "jounce"}, {"extension", "rebound", "droop"}
 CLOSEST, ROUNDING = 1e-9, 1e-9  # of a range
+MEASURED = 4  # pairs of velocity and deflection per row: a list with more is not a table
 GIVE = "{ velocity = [...], deflection = [...], force = [[...], ...] }, a list of forces for each velocity"
 
 
@@ -69,7 +70,7 @@ def surface_from(entry: Mapping[str, Any]) -> ForceSurface:
             f"its force at deflection {d[j]:g} m falls beyond {v[-i]:g} m/s, as it goes on from there; end the table where "
             "it is level or rises"
         )
-    return surface_of(v, d, table, f"{len(v)} velocities by {len(d)} deflections, at most {largest:.4g} N")
+    return surface_of(v, d, table, f"{len(v)} velocities by {len(d)} deflections, at most {largest:g} N")
 
 
 def _axis(given: Any, name: str) -> Array:
@@ -92,7 +93,7 @@ def _numbers(given: Any, name: str) -> Array:
 
 
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
-    """Returns the table of a CSV file in SI units, positive in extension, sorted; None if it is not over both arguments.
+    """Returns the table of a CSV file in SI units, positive in extension, sorted; None for another file, as of a measured loop.
 
     Args:
         give: required content of the file, for messages.
@@ -123,6 +124,8 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     if across is None:
         columns = {name: numbers[:, found[0].column - 1] for name, found in of.items()}
         (v, i), (d, j) = (np.unique(columns[name], return_inverse=True) for name in NAMES[:2])
+        if len(v) * len(d) > MEASURED * len(numbers):
+            return None
         force = np.full((len(v), len(d)), np.nan)
         force[i, j] = columns["force"]
         if len(numbers) != force.size or np.isnan(force).any():
@@ -138,9 +141,8 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
 def _first_row(table: NumberTable) -> tuple[str, Array | None]:
     """Returns the first cell of a sheet and the numbers behind it, of the line above the table; None for no sheet."""
     above = [line for line in table.lines[: table.first] if line.strip()]
-    cells = [
-        cell.strip(' "') for cell in (above[-1].rsplit(table.separator.strip(" ") or None, table.count - 1) if above else [])
-    ]
+    row = above[-1].rsplit(table.separator.strip(" ") or None, table.count - 1) if above else []
+    cells = [cell.strip(' "') for cell in row]
     try:
         across = np.array([float(cell if "." in cell else cell.replace(",", ".")) for cell in cells[1:]])
     except ValueError:

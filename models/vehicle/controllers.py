@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
     *("law", "preview", "fmu", "inputs", "outputs"),  # what is run as it is
-    "actuators",
+    *("study", "actuators"),
     "anti_windup",
     *("order", "stable", "fastest_pole", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
@@ -100,6 +100,7 @@ class ControllerEntry:
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
+        study: True if it may measure heights over the datum of a flat road, which no sensor on a car has; then it does.
     """
 
     given_as = "an entry of vehicle.controllers"
@@ -121,6 +122,7 @@ class ControllerEntry:
     errors: "WeightedErrors | None" = None
     preview: float = 0.0
     forced: bool = False
+    study: bool = False
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -153,6 +155,7 @@ class ControllerEntry:
             "noise": any(self.hardware.noise),
             "lag": self.hardware.bandwidth is not None,
             "sampled": self.sampled,
+            "study": self.study,
         }
         parts |= {key: f"{key} = true" for key, value in flags.items() if value}
         if self.goals is not None:
@@ -238,7 +241,7 @@ def _controller(
 ) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} is not one section with measured = [signals]; write {where} once, and its keys below")
+        raise InputError(f"{where} is not a section with measured = [signals]; write {where} once, and its keys below")
     design = _design(where, entry)  # a value that is none is no part, and what is beside it is right
     check_together(where, section_parts(entry, model.inputs))
     semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
@@ -255,14 +258,14 @@ def _controller(
     structured = entry.get("structure") in PATTERNS
     given = any(key in entry for key in ("gain", *MATRICES, *["pid"] * (not structured)))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
-        raise InputError(f"{where} a certificate is a separate section, in addition to that of the gain or law; remove it here")
+        raise InputError(f"{where} a certificate is a section of its own, beside that of the gain or law; remove it here")
 
     python = read_law(where, entry, folder)
     of_state = design in ("lqr", PREVIEW)
     if of_state and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
-    measurable = listing(model.measurable)
+    study, measurable = flag_within(where, entry, "study"), listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
         mistake = f"measured = {quoted(measured)} is not a list of signals" if "measured" in entry else "measured is missing"
         raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
@@ -272,17 +275,21 @@ def _controller(
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; give it once")
         if signal not in model.measurable:
+            if signal in model.heights and study:
+                continue
             if signal in model.heights:
                 raise InputError(
-                    f"{where} {signal!r} is a height over the datum of a flat road, which no sensor on a car has; give signals "
-                    f"out of: {measurable}"
+                    f"{where} {signal!r} is a height above a flat datum, which no sensor on a car measures; give study = true "
+                    f"for a law to study, or signals out of: {measurable}"
                 )
             raise InputError(
-                f"{where} {signal!r} contains the road's height in addition to the state, and loops are closed through the state "
-                f"alone; give signals out of: {measurable}"
+                f"{where} {signal!r} contains the road's height in addition to the state, and feedback uses the state "
+                f"only; give signals out of: {measurable}"
             )
+    if study and not model.over_datum(measured):
+        raise InputError(f"{where} has study = true, and measures no height over the datum of a flat road; omit study")
     if not given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(f"{where} control forces alone do not show the state; give measured = signals out of: {measurable}")
+        raise InputError(f"{where} control forces alone do not determine the state; measure signals out of: {measurable}")
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(
@@ -310,6 +317,7 @@ def _controller(
         "anti_windup": anti_windup,
         "structure": structure,
         "preview": _preview(where, entry, dampers),
+        "study": study,
     }
     return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
 
@@ -320,12 +328,12 @@ def _preview(where: str, entry: Mapping[str, Any], dampers: Mapping[str, str]) -
         return 0.0
     if "preview" not in entry:
         raise InputError(
-            f'{where} design = "{PREVIEW}" knows the road ahead, and preview is missing; give seconds, as in preview = 0.5: the '
+            f'{where} design = "{PREVIEW}" needs its preview of the road ahead; give seconds, as in preview = 0.5: the '
             "distance that a sensor sees over the speed"
         )
     if dampers:
         raise InputError(
-            f'{where} design = "{PREVIEW}" acts before the road does, and semi-active dampers only resist motion; give another '
+            f'{where} design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; give another '
             "design, or omit [actuators]"
         )
     return checked_preview(where, entry["preview"])
@@ -345,18 +353,18 @@ def _hardware(
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if flags["noise"] else ()
     if flags["noise"] and not any(noise):
         raise InputError(
-            f"{where} has noise = true, and [implementation] gives no noise of what it measures; give it, as in "
+            f"{where} has noise = true, but [implementation] gives no noise of what it measures; give it, as in "
             f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
     if forces and design and not flags["lag"]:
         raise InputError(
-            f"{where} has noise = true, and [implementation] a noise on {forces[0]!r}, which a design takes out of what is "
+            f"{where} has noise = true, but [implementation] has noise on {forces[0]!r}, which a design takes out of what is "
             "measured and knows no noise of; omit that noise"
         )
     if flags["lag"] and limits.actuator_bandwidth is None:
         raise InputError(
-            f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or omit lag"
+            f"{where} has lag = true, but [limits] gives the actuators no lag; give actuator_bandwidth [rad/s], or omit lag"
         )
     return DesignConditions(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
@@ -386,10 +394,10 @@ def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, cl
     if rate is None:
         return None
     if law is not None and not law.states:
-        raise InputError(f"{where} has anti_windup, and its law has no states that wind up; omit anti_windup")
+        raise InputError(f"{where} has anti_windup, but its law has no states that wind up; omit anti_windup")
     if not clipped:
         raise InputError(
-            f"{where} has anti_windup, and nothing clips its forces; give [limits] actuator_force, or [actuators] "
+            f"{where} has anti_windup, but nothing clips its forces; give [limits] actuator_force, or [actuators] "
             'kind = "damper", or omit anti_windup'
         )
     return rate

@@ -28,16 +28,18 @@ def check_integrals(
     where = f"[controllers.{entry.name}] and the integral of {weighed} in [performance]:"
     if sampled or entry.sampled:
         raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; omit sampled")
+    if entry.study:
+        raise InputError(f"{where} the law measures heights over the datum of a flat road, which leave no integral at zero")
     if entry.goals is not None:
-        raise InputError(f"{where} goals are of static gains, which have no integral; give a design or an order instead")
+        raise InputError(f"{where} goals are for static gains, which have no integral; give a design or an order instead")
     if entry.errors is not None:
         raise InputError(
-            f"{where} an error that is weighted by frequency acts ahead of it; give the error as a number, or no pole at 0"
+            f"{where} an error that is weighted by frequency acts ahead of it; give the error as a number, or omit the pole at 0"
         )
     if entry.stable:
-        raise InputError(f"{where} its law integrates, a pole at 0, which is not stable by itself; omit stable")
+        raise InputError(f"{where} its law has an integrator, a pole at 0, which is not stable by itself; omit stable")
     if entry.structure is not None and (entry.structure.kind or entry.structure.rows is not None):
-        raise InputError(f"{where} a law with a structure has no further state; give order = 2 without structure, or a design")
+        raise InputError(f"{where} a law with a structure has no state for it; give order = 2 without structure, or a design")
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
     if entry.design == "lqg":
         noisy |= {name: rms for name, rms in heard.items() if name in entry.measured}

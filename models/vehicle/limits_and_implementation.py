@@ -247,7 +247,7 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
         if limit not in ORDERS:
             raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
         if "actuator_force" not in section:
-            raise InputError(f"[limits] has limit = {limit!r} and no largest force; give actuator_force [N], or omit limit")
+            raise InputError(f"[limits] has limit = {limit!r} but no largest force; give actuator_force [N], or omit limit")
     of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
     limits = Limits()
     if of_stops:
@@ -341,8 +341,8 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
         raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, and "
-            f"no force changes within a step; give a multiple of {timestep:g} s or a smaller timestep"
+            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, but "
+            f"forces change only between steps; give a multiple of {timestep:g} s or a smaller timestep"
         )
     return steps
 

@@ -238,7 +238,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
         )
     if model.nq != model.nv:
-        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; give slides and hinges")
+        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; use slide and hinge joints")
     for name in vehicle.linear_model.outputs:
         for part in vehicle.kind.combined.get(name, {name: 1.0}):
             sensor = model.sensor(part)

@@ -42,11 +42,11 @@ CLASSES = "ABCDEFGH"  # of ISO 8608
 BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
 ROAD_SYNTAX = (
     f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2; or a file (.csv, "
-    ".txt, .xlsx, .mat, .erd or .crg), such as road.csv:height_unit=mm; or the drive file of a rig, such as rig:file=drive.csv. "
-    "Add loads with +, such as bump + brake:g=0.5"
+    ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm; or the drive file of a rig, such as "
+    "rig:file=drive.csv. Add loads with +, such as bump + brake:g=0.5"
 )
 SETTINGS = r"(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)"
-FILE = re.compile(rf"(?P<path>.+\.(?P<suffix>csv|txt|crg|erd|mat|xlsx)){SETTINGS}", re.IGNORECASE | re.DOTALL)
+FILE = re.compile(rf"(?P<path>.+\.(?P<suffix>csv|txt|crg|erd|rdf|mat|xlsx)){SETTINGS}", re.IGNORECASE | re.DOTALL)
 RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IGNORECASE | re.DOTALL)
 
 

@@ -75,14 +75,14 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
     for key, value in given.items():
         if key == "y":
             raise InputError(
-                f"{where} y: a vehicle's mass lies on its centre line; drive with --load payload:y=..., a weight alone"
+                f"{where} y: the mass of a vehicle lies on its centre line; use --load payload:y=..., which adds weight only"
             )
         if key not in KEYS:
             raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
         if key in PLACE:
             number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; omit {key}")
+            raise InputError(f"{where} {key}: this vehicle does not pitch, so only the mass matters; omit {key}")
     if "mass" not in given:
         raise InputError(f"{where} mass is missing; give it in kg")
     with error_in(where):

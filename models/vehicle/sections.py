@@ -359,7 +359,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     value = flag_within(where, entry, "sampled", usual)
     if value and period is None:
         raise InputError(
-            f"{where} has sampled = true, and [implementation] gives no sample period; give it, as in sample_period = 0.01, "
+            f"{where} has sampled = true, but [implementation] gives no sample period; give it, as in sample_period = 0.01, "
             "seconds, or omit sampled"
         )
     return value

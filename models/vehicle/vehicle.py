@@ -13,7 +13,10 @@ from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, read_text
-from models.kinds.kind import HERE, ShownVehicle, VehicleKind
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
+from models.kinds.kind import HERE, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
@@ -80,7 +83,7 @@ SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "imple
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Vehicle(ShownVehicle):
+class Vehicle(Shown):
     """Vehicle of a vehicle file.
 
     Attributes:
@@ -222,16 +225,28 @@ class Vehicle(ShownVehicle):
             stops[name] = pair.at_wheel(ratio) if table is None else table.scaled(ratio).stops(pair)
         return stops
 
-    def _repr_html_(self) -> str:
-        from models.document.notebook import gain_curve, gain_panel, notebook_figure
+    @property
+    def shown(self) -> Document:
+        """Vehicle type and file, then parameters, weights and controllers."""
+        units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
+        return facts(
+            f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}",
+            {
+                "parameters": ", ".join(f"{name} {value:g} {units[name]}".rstrip() for name, value in self.parameters.items()),
+                "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
+                "controllers": ", ".join(("passive", "state", *self.controllers)),
+            },
+        )
+
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain from the road's velocity to the weighted signals, without control."""
+        from models.document.notebook import gain_figure
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
-        omega, gains = gain_curve(model.A, model.Bw, weights * model.C, weights * model.Dw)
-        panel = gain_panel(
-            "largest singular value without control, from the road's velocity to the weighted signals:", omega, gains, {}
-        )
-        return super()._repr_html_() + notebook_figure(panel)
+        title = "Largest singular value without control, from the road's velocity to the weighted signals."
+        return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
 
     @cached_property
     def adjustable(self) -> "tuple[Adjustable, ...]":
@@ -275,7 +290,7 @@ class Vehicle(ShownVehicle):
         if pushing and others:
             raise InputError(
                 f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
-                "one sort: select controllers of one sort with --controller"
+                "one kind: select controllers of one kind with --controller"
             )
         return self.with_force_actuators if pushing else self
 
@@ -431,8 +446,7 @@ class Vehicle(ShownVehicle):
         """Questions about numbers that are probably not in SI units, and remarks on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        at_wheels = self.kind.at_wheels(self.parameters)
-        return [*unit_doubts(at_wheels, self.limits), *curve_notes(curves, self.kind, self.parameters)]
+        return [*unit_doubts(self.kind.at_wheels(self.parameters), self.limits), *curve_notes(curves, self.kind, self.parameters)]
 
     @property
     def controller_names(self) -> tuple[str, ...]:
@@ -476,7 +490,7 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop to analyse; give another controller, or drive this one "
+                f"controller {name!r} is {what}, which has no linear loop; give another controller, or drive this one "
                 "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry

@@ -82,7 +82,7 @@ def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
         return section
     if isinstance(period, bool) or not isinstance(period, (int, float)) or not period > 0:
         raise InputError(
-            f"[implementation] delay = {quoted(delay)} is a time, and there is no sample period; give a sample period, as in "
+            f"[implementation] delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
             'sample_period = "5 ms", or give delay as a number of samples'
         )
     return {**section, "delay": round(seconds / period, 9)}

@@ -23,11 +23,12 @@ from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
 from sim.response.regime import DIVERGENCE, END_NAMES, LAW_OVERFLOW, RAN_AWAY
 from sim.response.response import SILENT
+from sim.runs.steps import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
 from synth.controller.controller import AnyController, Controller
-from synth.controller.open_loop import sampled
+from synth.controller.open_loop import heights_read, sampled
 from synth.plant.discrete import held_inputs
 
 
@@ -121,12 +122,13 @@ def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tup
     assert isinstance(controller, Controller), "it is linear"
     cut = sampled(vehicle, controller, timestep)
     model, G = cut.model, cut.inputs(cut.asked)
-    felt = cut.inputs(*np.split(readings_of_loads(cut, controller), [cut.forces]))
+    felt, of_heights = (cut.inputs(*np.split(read(cut, controller), [cut.forces])) for read in (readings_of_loads, heights_read))
     ahead = cut.inputs(np.eye(cut.forces), np.zeros((len(cut.hold), cut.forces)))
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.jump + model.Br)
     Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bh)[1]
     C = model.C + model.D @ G
-    of_road = (Gamma_u @ G @ model.jump, C @ model.jump + model.Cr, Gamma_r, np.zeros_like(model.Cr))
+    reading = G @ model.jump + of_heights
+    of_road = (Gamma_u @ reading, C @ model.jump + model.Cr + model.D @ of_heights, Gamma_r, np.zeros_like(model.Cr))
     of_loads = (Gamma_l, model.Dh, Gamma_u @ felt, model.D @ felt)
     return Phi + Gamma_u @ G, C, *of_road, *of_loads, Gamma_u @ ahead, model.D @ ahead
 
@@ -216,11 +218,11 @@ def _end(watched: MonitoredBatch, i: int) -> dict[str, Any]:
     flat, diverged, overflow = float(watched.ends.flat[i]), float(watched.diverged[i]), bool(watched.ran_away[i])
     reason = None
     if flat < diverged:
-        reason = f"flat: a tyre is squeezed by more than {MOST_SQUEEZE:g} m at {flat:.4g} s"
+        reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(flat)}"
     elif overflow:
         reason = f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=diverged)}"
     elif math.isfinite(diverged):
-        reason = f"diverged: a signal is beyond {DIVERGED:g} at {diverged:.4g} s"
+        reason = f"diverged: a signal is beyond {DIVERGED:g} at {WHEN.text(diverged)}"
     broken = LAW_OVERFLOW if overflow else DIVERGENCE
     ended = float(watched.until[i])
     by = broken if diverged <= watched.ends.first[i] else END_NAMES[watched.ends.which[i]]

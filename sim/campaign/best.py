@@ -103,7 +103,7 @@ class Choice:
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = listing([request.metric, *request.limits])
-            return Statement(f"{self.vehicle}: None of {self.count} has {absent} of all runs, as some broke off.", "fails")
+            return Statement(f"{self.vehicle}: None of {self.count} has {absent} for all runs, because some broke off.", "fails")
         drawn = "".join(f", {key} {DRAWN.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
@@ -114,7 +114,7 @@ class Choice:
         for name, by in self.misses.items():
             share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
             missed.append(f"{name} by {MISS.digits(by)} {request.units[name]}".rstrip() + share)
-        text = f"{who} is nearest to {request.words}, and misses {' and '.join(missed)}. None of {self.count} is within."
+        text = f"{who} is nearest to {request.words}, and exceeds {' and '.join(missed)}. None of {self.count} is within."
         return Statement(text, "fails")
 
     @property
@@ -191,18 +191,17 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:
-        best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
+    if best is None:  # the nearest: by the largest share by which a limit is missed; of a limit of 0 by how much
+
+        def excess(one: Candidate) -> float:
+            return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())
+
+        best = min(numbers, key=excess, default=None)
     if best is None:
         return Choice(vehicle, request, None, {}, {}, 0, len(candidates))
     of_law = plan.campaign.variants[vehicle].get(best.controller, ())
     drawn = of_law[best.variant] if best.variant is not None else {}
     return Choice(vehicle, request, best, drawn, numbers[best], len(within), len(candidates))
-
-
-def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
-    """Returns by which share the limits are missed, the worst of them; of a limit of 0 by how much."""
-    return max(((numbers[name] - limit) / (abs(limit) or 1.0) for name, limit in limits.items()), default=0.0)
 
 
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:

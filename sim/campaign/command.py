@@ -22,7 +22,7 @@ from sim.campaign.columns import columns
 from sim.campaign.controllers import check_code, designed, planned
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import Manifest, gains_of, locked, read_manifest
-from sim.campaign.plan import Plan, Progress
+from sim.campaign.plan import RATE, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.summary import compare, compared_lines, describe, summarise, trade_off
 from sim.campaign.verify import verify
@@ -101,7 +101,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         }
         print(json.dumps(result, allow_nan=False))
         return 0 if within else 1
-    now = f"{progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else "all of them there already"
+    now = f"{progress.done} made now, {RATE.text(progress.rate)}" if progress.done else "all made before"
     lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
     gains = [entry for some in manifest.controllers.values() for entry in some.items()]
     coded = {f"{name} in {one['code']['numbers']}" for name, one in gains if "code" in one}
@@ -109,7 +109,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     lines += ["", "results", Whole(f"  {store.results}")]
     if not options.brief:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
-        lines += [] if options.verbose else ["-v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
+        lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95 %, and prediction"]
     lines += written_lines(outputs)
     lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
@@ -131,11 +131,11 @@ def check_results(options: argparse.Namespace) -> int:
         about = {"results": str(folder), "runs": runs, "rows": verified["rows"], "seed": options.seed, "remark": remark}
         print(json.dumps({**about, **verified, "holds": not faults}))
         return 1 if faults else 0
-    found = [*faults, "", "the results DO NOT HOLD what the campaign comes to"]
+    found = [*faults, "", "the results DO NOT AGREE with the campaign"]
     if not faults:
-        said = f"{again} of them, drawn with seed {options.seed}, were driven again, with the same numbers"
-        found = [f"each of {verified['rows']} runs has its row, with its inputs; {said}"]
-        found += ["", "the results hold what the campaign comes to"]
+        said = f"{again} runs, selected with seed {options.seed}, were repeated with the same numbers"
+        found = [f"each of {verified['rows']} runs has one row with its inputs; {said}"]
+        found += ["", "the results agree with the campaign"]
     say([*filter(None, [remark]), "results", Whole(f"  {folder}"), *found])
     return 1 if faults else 0
 
@@ -153,9 +153,9 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
         if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
             file = folder.absolute().parent / file.name
         campaign = parse_campaign(manifest.campaign, file)
-        now = "is another one by now" if file.is_file() else "is not there any more"
+        now = "has changed" if file.is_file() else "does not exist any more"
         if not file.is_file() or read_text(file, "campaign file", "") != manifest.campaign:
-            remark = f"campaign file {file} {now}; the folder's own text of it counts"
+            remark = f"campaign file {file} {now}; the copy in the folder is used"
     manifest.check(folder, campaign.digest, _versions(), FINISHED)
     plan, store = _plan(campaign, manifest, folder)
     stage = Stages("rows", "runs driven again")

@@ -95,4 +95,4 @@ def check_code(gains: Gains, exported: Path) -> None:
 
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
     if sha256(read_text(exported / MANIFEST, "manifest", "name a folder of --export")) not in codes:
-        raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")
+        raise InputError(f"--as {exported}: the campaign was started without this code; give another folder with --results")

@@ -125,21 +125,8 @@ def _parse(text: str, folder: Path) -> Campaign:
     settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
-    samples, variants, sample_seed = read_samples(data.get("samples"), vehicles, controllers)
-    campaign = Campaign(
-        vehicles=vehicles,
-        controllers=controllers,
-        roads=roads,
-        speeds=speeds,
-        seeds=_seeds(data),
-        duration=duration,
-        settle=settle,
-        timestep=timestep,
-        samples=samples,
-        variants=variants,
-        sample_seed=sample_seed,
-        text=text,
-    )
+    drawn = read_samples(data.get("samples"), vehicles, controllers)
+    campaign = Campaign(vehicles, controllers, roads, speeds, _seeds(data), duration, settle, timestep, *drawn, text)
     for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, speeds):
         built = road.build(vehicle, speed, campaign.seeds[0], speed * duration)
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):

@@ -59,12 +59,12 @@ class Manifest:
             InputError: the folder is of another campaign, or of other versions.
         """
         if self.digest != digest:
-            raise InputError(f"{folder} holds another campaign, of other files than these; {instead}")
+            raise InputError(f"{folder} contains another campaign, with other files; {instead}")
         for name, version in versions.items():
             if self.versions.get(name) != version:
                 raise InputError(
-                    f"the campaign in {folder} was begun with {name} {self.versions.get(name)}, and here is {version}: its "
-                    f"numbers could differ; go on with that, or {instead}"
+                    f"the campaign in {folder} was started with {name} {self.versions.get(name)}, and this is {version}: the "
+                    f"numbers could differ; continue with that version, or {instead}"
                 )
 
 
@@ -81,11 +81,11 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     if not path.exists() and (folder / EARLIER).exists():
         path = folder / EARLIER
         if not (folder / RESULTS).exists():
-            raise InputError(f"the campaign in {folder} was begun by Roadproof 0.1; finish it with that version, or {instead}")
+            raise InputError(f"the campaign in {folder} was started by Roadproof 0.1; finish it with that version, or {instead}")
     if not path.exists():
         others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
         if others:
-            raise InputError(f"{folder} holds no campaign, but {others[0]}; {instead}")
+            raise InputError(f"{folder} contains no campaign, but {others[0]}; {instead}")
         return None
     with reading(path, "campaign plan", instead):
         whole = json.loads(path.read_text(encoding="utf-8"))
@@ -117,7 +117,7 @@ def locked(folder: Path) -> Iterator[None]:
         except OSError as error:  # also of a lock that is held
             raise InputError(
                 f"another campaign is running in {folder}, or it cannot be locked ({error.strerror or 'locked'}); "
-                "wait for it, or name another folder with --results"
+                "wait for it, or give another folder with --results"
             ) from error
         try:
             for left in folder.glob(".*.part*"):

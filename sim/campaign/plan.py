@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.document.field import Field
 from models.roads.choice import RoadChoice
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
@@ -21,6 +22,7 @@ from sim.physics.run_blocks import runs_at_once
 from synth.controller.controller import AnyController
 
 LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
+RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
 
 
@@ -225,4 +227,4 @@ class Progress:
         self.done += runs
         left = (self.total - self.done) * self.steps / self.rate
         clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"
-        self._tell(f"{self.done} of {self.total} runs, {self.rate:.3g} steps/s, {clock} left")
+        self._tell(f"{self.done} of {self.total} runs, {RATE.text(self.rate)}, {clock} left")

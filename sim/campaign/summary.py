@@ -81,7 +81,7 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # all have broken off
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: not all runs have metrics" if any(not any(each.values.values()) for each in some) else ""
-        left = f"; {len(every) - len(some)} variants that are best at nothing are left out" if len(every) > len(some) else ""
+        left = f"; {len(every) - len(some)} variants that are not best at anything are omitted" if len(every) > len(some) else ""
         lines += ["", vehicle, *standing_lines(some, f"MuJoCo, all runs, their largest peaks{absent}{left}")]
     return lines
 

@@ -12,17 +12,19 @@ from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
 from models.common.printed import Whole, pasted_path
-from models.document.document import Document, notes
+from models.document.document import Document, notes, statements
 from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
+from sim.response.response import Response
 from sim.runs.report import FEW, describe_run, shared
-from sim.runs.run import Reference, Run, reference, run_controllers
+from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
 from synth.controller.open_loop import LoopModel
+from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
@@ -100,7 +102,7 @@ def say_false_claims(controllers: Iterable[AnyController]) -> None:
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
-                f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
+                f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}): it is "
                 "used unchanged; see python -m synth"
             )
 
@@ -110,7 +112,7 @@ def _first(claims: Sequence[str]) -> str:
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
-LOGS = "logs, for Rerun, and for Foxglove and Lichtblick, with .layout.json beside it"
+LOGS = "logs for Rerun, and for Foxglove and Lichtblick (import the .layout.json there)"
 
 
 def recorded(
@@ -165,11 +167,10 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
         return []
-    from sim.recording.files import opening_lines
-
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
-    return [*(["", LOGS] if len(runs) <= FEW else []), *opening_lines(paths[0])]
+    files = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}"), Whole(f"  {pasted_path(paths[0]['mcap'])}")]
+    return [*(["", LOGS] if len(runs) <= FEW else []), *files]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -222,20 +223,14 @@ def run_named(
     return run_controllers(vehicle, controllers, road, time)
 
 
-def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
-    """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
-    passive = next((run for run in runs if run.controller.name == PASSIVE), None)
-    return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
-
-
-def run_lines(runs: Sequence[Run], passive: Run | Reference | None = None) -> list[str]:
+def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
     """Returns the lines on runs above the table: claims and warnings of few controllers, and why a run fails or diverges.
 
     Args:
-        passive: run of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
+        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
     """
     if passive is not None:
-        documents = [describe_run(run, None if run is passive else passive) for run in runs]
+        documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in describe_run(run).statements if one.detail == "normal"]
@@ -243,13 +238,14 @@ def run_lines(runs: Sequence[Run], passive: Run | Reference | None = None) -> li
     if not few:
         linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
         margins = {name: law_margins(*one) for name, one in linear.items()}
-        lines = [*text_lines(Document("", notes(*warnings(margins)))), *lines]
+        studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
+        lines = [*text_lines(Document("", (*notes(*warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and how the verdict is reached"] if few else [])] if lines else []
 
 
 def standings_of(
     runs: Sequence[Run],
-    passive: Run | Reference,
+    passive: Response,
     samples: tuple[int, int | None] = (0, None),
     measured: "Sequence[RunMetrics]" = (),
     without: Sequence[str] = (),
@@ -271,10 +267,12 @@ def standings_of(
         id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
         for run, of_run in zip(runs, measured, strict=False)
     }
-    rows = [(PASSIVE, "", runs[0].vehicle, passive.physics)]
+    rows = [(PASSIVE, "", runs[0].vehicle, passive)]
     parts = without or [""] * len(runs)
     rows += [
-        (run.controller.name, part, run.vehicle, run.physics) for run, part in zip(runs, parts, strict=True) if run is not passive
+        (run.controller.name, part, run.vehicle, run.physics)
+        for run, part in zip(runs, parts, strict=True)
+        if run.physics is not passive
     ]
     order, standings = [name for name, *_ in rows], []
     for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):

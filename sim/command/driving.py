@@ -5,6 +5,7 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,16 +20,15 @@ from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.drive_options import end_lines, gaps, starts_later
+from sim.command.road_options import end_lines, gaps, starts_later
+from sim.response.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
-from sim.runs.run import Reference, Run, run_controllers, sample_times
+from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
-from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.ride.step_response import SignalSteps
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Driven:
         names: requested controllers.
         runs: runs of the implemented controllers, then of those without a part of the vehicle.
         without: omitted part for each run; empty as implemented.
-        design: designs the vehicle's linear controllers.
+        passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
     """
 
@@ -50,7 +50,7 @@ class Driven:
     names: Sequence[str]
     runs: Sequence[Run]
     without: Sequence[str]
-    design: Callable[[str], Controller]
+    passive: Response
     metrics: "Sequence[RunMetrics]" = ()
 
     @property
@@ -61,16 +61,12 @@ class Driven:
     @cached_property
     def shown(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
-        return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in self._pairs]
-
-    @cached_property
-    def passive(self) -> Run | Reference:
-        """The run of the passive vehicle."""
-        return comparison.passive_beside(self.built, self.design)
+        pairs = zip(self.runs, self.without, strict=True)
+        return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
 
     def logged(self) -> dict[str, Run]:
         """Returns the runs by their names in a log."""
-        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in self._pairs}
+        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in zip(self.runs, self.without, strict=True)}
 
     @property
     def objects(self) -> list[dict[str, Any]]:
@@ -78,14 +74,9 @@ class Driven:
         return [
             run_object(run)
             | {"half_step": half_step_object(run)}
-            | ({"vehicle": self.title} if self.title else {})
-            | ({"without": part} if part else {})
-            for run, part in self._pairs
+            | {key: text for key, text in (("vehicle", self.title), ("without", part)) if text}
+            for run, part in zip(self.runs, self.without, strict=True)
         ]
-
-    @property
-    def _pairs(self) -> list[tuple[Run, str]]:
-        return list(zip(self.runs, self.without, strict=True))
 
 
 def _named(run: Run, name: str) -> Run:
@@ -93,22 +84,6 @@ def _named(run: Run, name: str) -> Run:
         return run
     controller: Any = run.controller  # each kind of driver is a dataclass with a name
     return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
-
-
-@dataclass(frozen=True, eq=False)
-class Interval:
-    """Samples between which the ride is measured.
-
-    Attributes:
-        samples: first measured sample, and the one after the last; None for the end of the runs.
-        words: the interval in words.
-        start, end: times of the first and last of these samples [s].
-    """
-
-    samples: tuple[int, int | None]
-    words: str
-    start: float
-    end: float
 
 
 def drive(
@@ -143,57 +118,52 @@ def drive(
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
 
     driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
-    interval = None
-    if rides:
-        from sim.studies.ride.run_metrics import measure_run
-
-        interval = _interval(options, [run for each in driven for run in each.runs], road, time)
-        driven = [replace(each, metrics=[measure_run(run, *interval.samples) for run in each.runs]) for each in driven]
     runs = [run for each in driven for run in each.runs]
     shown = [run for each in driven for run in each.shown]
-    results = [_result(options, each, interval) for each in driven]
+    samples, start, words, step, response = (0, None), 0.0, "all of the run", {}, Document("")
+    if rides:
+        from sim.studies.ride import run_metrics, step_response
+
+        pairs = [(run.vehicle, run.controller) for run in runs]
+        samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
+        start, words = float(time[samples[0]]), run_metrics.measured_words(time, samples)
+        driven = [replace(each, metrics=[run_metrics.measure_run(run, *samples) for run in each.runs]) for each in driven]
+        step = {"step": None}
+        if step_response.step_of(road):
+            steps = [step_response.measure_step(run, options.band) for run in runs]
+            objects = [step_response.step_object(*pair) for pair in zip(runs, steps, strict=True)]
+            step, response = {"step": {"band": options.band, "runs": objects}}, step_response.describe(shown, steps, options.band)
+    end = float(time[-1 if samples[1] is None else samples[1] - 1])
+    results = [_result(options, each, (start, None if samples[1] is None else end)) for each in driven]
     result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
     if left := sorted({name for one in results for name in one.get("left_out", ())}):
         result["left_out"] = left
-    logs = [
-        comparison.recorded(
-            options, each.vehicle, list(dict.fromkeys(run.controller.name for run in each.runs)), each.logged, one
-        )
-        for each, one in zip(driven, results, strict=True)
-    ]
-    steps = _steps(options, runs, road) if rides else []
+    logs = []
+    for each, one in zip(driven, results, strict=True):
+        controllers = list(dict.fromkeys(run.controller.name for run in each.runs))
+        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, one))
     outputs = comparison.write_histories(options, shown, where(road))
-    samples = interval.samples if interval is not None else (0, None)
     standings = [
         one
         for each in driven
         for one in comparison.standings_of(each.runs, each.passive, samples, each.metrics, each.without, each.title)
     ]
     if options.json:
-        print(
-            json.dumps(
-                {
-                    **result,
-                    **({"step": _step_object(options, runs, steps)} if rides else {}),
-                    "compared": standings_object(standings),
-                    **written(outputs),
-                    "logs": logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)},
-                },
-                allow_nan=False,
-            )
-        )
+        paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
+        last = {"compared": standings_object(standings), **written(outputs), "logs": paths}
+        print(json.dumps(result | step | last, allow_nan=False))
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
         sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
-        lines += _above(options, driven, interval, road)
-        if steps and not options.brief:
-            from sim.studies.ride.step_response import describe
-
-            lines += ["", *text_lines(describe(shown, steps, options.band), "full" if options.verbose else "normal")]
-        settled = ", when all have settled" if interval and road.spectrum and interval.start < options.duration / 2 else ""
-        about = f"MuJoCo, {interval.words if interval else 'all of the run'}{settled}"
+        if rides:
+            lines += end_lines(road, options.duration)
+        lines += _above(options, driven, start, end)
+        if response.blocks and not options.brief:
+            lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
+        settled = ", when all have settled" if rides and road.spectrum and start < options.duration / 2 else ""
+        about = f"MuJoCo, {words}{settled}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v: norms, expected ride, signals" if rides and road.spectrum else "; -v: norms, signals"
         lines += ["", *standing_lines(standings, about)]
@@ -247,74 +217,53 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
         if own is not vehicle and some:
             runs += run_controllers(own, [drivers[name] for name in some], road, time)
             parts += [part] * len(some)
-    return Driven(vehicle, title, names, runs, parts, design)
+    return Driven(vehicle, title, names, runs, parts, passive_beside(runs[: parts.count("")], design))
 
 
-def _interval(options: Namespace, runs: Sequence[Run], road: Road, time: Array) -> Interval:
-    """Returns the samples between which the ride of all runs is measured."""
-    from sim.studies.ride.run_metrics import measured_samples, measured_words
-
-    pairs = [(run.vehicle, run.controller) for run in runs]
-    first, end = measured_samples(pairs, road, options.duration, options.timestep)
-    words = measured_words(time, (first, end))
-    return Interval((first, end), words, float(time[first]), float(time[-1 if end is None else end - 1]))
-
-
-def _result(options: Namespace, each: Driven, interval: Interval | None) -> dict[str, Any]:
-    """Returns the result of a vehicle for its log and JSON."""
+def _result(options: Namespace, each: Driven, measured: tuple[float, float | None]) -> dict[str, Any]:
+    """Returns the result of a vehicle for its log and JSON, with its ride between two times [s], the last None for the end."""
     road, time = each.runs[0].road, each.runs[0].prediction.time
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
-    if interval is not None:
+    if each.metrics:
         from sim.studies.ride.metrics import DEFINITIONS
         from sim.studies.ride.run_metrics import driven_roughness, metrics_object, roughness_object
 
-        rows = zip(each.objects, each.runs, each.metrics, strict=True)
+        rows, (start, end) = zip(each.objects, each.runs, each.metrics, strict=True), measured
         result |= {
             "runs": [one | metrics_object(run, of_run) for one, run, of_run in rows],
-            "measured_from": interval.start,
-            **({} if interval.samples[1] is None else {"measured_until": interval.end}),
+            "measured_from": start,
+            **({} if end is None else {"measured_until": end}),
             "definitions": DEFINITIONS,
             "iri": roughness_object(driven_roughness(each.vehicle, road, time)),
         }
     return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
 
 
-def _steps(options: Namespace, runs: Sequence[Run], road: Road) -> "list[dict[str, SignalSteps]]":
-    """Returns the step responses of every run; empty on another road."""
-    from sim.studies.ride.step_response import measure_step, step_of
+def _above(options: Namespace, driven: Sequence[Driven], start: float, end: float) -> list[str]:
+    """Returns the lines above the table: with `-v` every run in full, else what is special about some.
 
-    return [measure_step(run, options.band) for run in runs] if step_of(road) else []
-
-
-def _step_object(options: Namespace, runs: Sequence[Run], steps: "list[dict[str, SignalSteps]]") -> dict[str, Any] | None:
-    """Returns the step responses as a JSON object; None without."""
-    from sim.studies.ride.step_response import step_object
-
-    return {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
-
-
-def _above(options: Namespace, driven: Sequence[Driven], interval: Interval | None, road: Road) -> list[str]:
-    """Returns the lines above the table: with `-v` every run in full, else what is special about some."""
+    Args:
+        start, end: times between which the ride is measured [s].
+    """
     shown, metrics = [run for each in driven for run in each.shown], [one for each in driven for one in each.metrics]
     lines = list[str]()
-    if interval is not None:
+    if metrics:
         from sim.runs.start import start_lines
 
-        lines += end_lines(road, options.duration)
         for each in driven:
             lines += start_lines(each.shown[: len(each.built)], starts_later(options))
     if options.verbose:
-        from sim.studies.ride.run_metrics import describe, driven_roughness
-
         for each in driven:
-            for run, own in zip(each.shown, each.metrics or [None] * len(each.shown), strict=True):
+            for run, own in zip_longest(each.shown, each.metrics):
                 lines += comparison.run_lines([run], each.passive)
-                if interval is not None and own is not None:
+                if own is not None:
+                    from sim.studies.ride.run_metrics import describe, driven_roughness
+
                     rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
-                    lines += ["", *text_lines(describe(run, own, interval.start, interval.end, rough), "full")]
+                    lines += ["", *text_lines(describe(run, own, start, end, rough), "full")]
     elif not options.brief:
         lines += comparison.run_lines(shown)
-        if interval is not None:
+        if metrics:
             from sim.studies.ride.run_metrics import broken, summary
 
             left = [(run.controller.name, Statement(line)) for run in shown for line in broken(run)]

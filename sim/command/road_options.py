@@ -1,15 +1,24 @@
-"""Options of commands that drive over one road."""
+"""Options of commands that drive over one road, and the road that they request."""
 
+import argparse
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
-from models.vehicle.names import LOAD_SYNTAX, WITHOUT
+from models.common.errors import InputError, error_in
+from models.common.printed import percent, wrapped
+from models.vehicle.names import CLASSES, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
 if TYPE_CHECKING:
+    from models.common.arrays import Array
+    from models.roads.road import Road
     from models.vehicle.vehicle import Vehicle
+
+NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
 
 
 def add_vehicles(parser: Parser) -> None:
@@ -40,7 +49,7 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted."""
-    return [f"left out: {', '.join(names)}; to have one, name it with --controller, which may be {ALL}"] if names else []
+    return [f"left out: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
@@ -88,3 +97,89 @@ def add_loads(parser: Parser, what: str) -> None:
     """Adds `--load`, which may be repeated."""
     meaning = f"{what}; may be repeated, and all loads act together: {LOAD_SYNTAX}"
     parser.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
+
+
+def add_road(parser: Parser, default: str) -> None:
+    """Adds `--class` with its default in words, `--seed`, `--road`, `--from` and `--speed`."""
+    parser.add_argument(
+        "--class",
+        dest="road_class",
+        metavar="CLASS",
+        help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
+    )
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random road (default: 0)")
+    parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))
+    parser.add_number(
+        "--from",
+        None,
+        "m",
+        "start of the vehicle on a road from a file, in metres even if the file has another unit",
+        "first point",
+    )
+    parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
+
+
+def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
+    """Returns the requested road, if it can be driven."""
+    from models.roads.choice import choose_road
+    from models.roads.load_choice import choose_load
+
+    choice = choose_road(road_text(options))
+    choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
+    if "seed" in options.given and not choice.random:
+        raise InputError(f"--seed chooses a random road, and {choice.text!r} is not random; omit it")
+    if "speed" in options.given and choice.kind == "rig":
+        raise InputError("--speed does not apply to a rig, on which the vehicle stands still; omit it")
+    road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
+    with error_in(f"road {choice.text!r}:"):
+        road.check(vehicle, time)
+    return road
+
+
+def gaps(road: "Road", duration: float) -> list[str]:
+    """Returns a remark on a wide gap between the points of a road from a file that are driven in a time [s]."""
+    from models.roads.profile import Profile
+    from models.roads.road import Departure
+
+    felt = road.from_start
+    profile = felt.road if isinstance(felt, Departure) else None
+    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(road.speed * duration)) else []
+
+
+def starts_later(options: argparse.Namespace) -> bool:
+    """True if the vehicle is to start later on a road from a file than at its first point."""
+    from models.roads.choice import driven
+
+    return "from" in driven(split_off(road_text(options))[0])
+
+
+def end_lines(road: "Road", duration: float) -> list[str]:
+    """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
+    ends = road.duration
+    if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
+        return []
+    if ends > duration:
+        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
+    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is straight from there on, which lowers every rms"
+    return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
+
+
+def road_text(options: argparse.Namespace) -> str:
+    """Returns the text of the requested road."""
+    if (start := vars(options)["from"]) is not None:
+        road, loads = split_off(options.road or "")
+        if (named_file(road) or ("", ""))[1] != "profile":
+            raise InputError("--from is the start on a road from a file; give a file with --road, or omit --from")
+        return PLUS.join([f"{road}:from={start!r}", *loads])
+    if options.road_class is None:
+        return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
+    if options.road is not None:
+        raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
+    return f"iso8608:class={options.road_class.upper()}"
+
+
+def _seed(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer") from None

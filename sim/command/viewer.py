@@ -61,7 +61,7 @@ def open_viewer(recording: Path) -> None:
 def _reason(said: bytes) -> str:
     """Returns the last line of a program's output, without colours, as a reason."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
-    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
+    return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
 
 def serve_viewer(recording: Path) -> None:
@@ -82,7 +82,7 @@ def serve_viewer(recording: Path) -> None:
     )
     try:
         _wait_until_up(process, f"http://{LOOPBACK}:{page}")
-        print(f"serving http://{LOOPBACK}:{page}?url={source}   Ctrl-C ends it", file=sys.stderr, flush=True)
+        print(f"serving http://{LOOPBACK}:{page}?url={source}   press Ctrl-C to stop", file=sys.stderr, flush=True)
         process.wait()
         raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
     except KeyboardInterrupt:

@@ -22,6 +22,7 @@ from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
 from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run
+from sim.runs.steps import ALLOWED, DIFFERENCE
 from sim.studies.ride.metrics import DEFINITIONS, ONE_SIDED
 from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
@@ -38,9 +39,9 @@ PREDICTED = "rounding"  # of exported code, in results of earlier versions: it i
 REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
 OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # what numbers and keys that are not a run's come to
-GOALS = "vehicle.toml has goals for it ({goals}), of which the log claims nothing; python -m synth checks them"
-EARLIER = "an earlier version wrote the log, with other numbers of a law that sets semi-active dampers; inspect it with that one"
-NOT_RUN = "its attached text was not run: it applies the forces that the log has"
+GOALS = "the log makes no claim about its goals in vehicle.toml ({goals}); python -m synth checks them"
+EARLIER = "an earlier version wrote the log, with other numbers for laws of semi-active dampers; inspect it with that version"
+NOT_RUN = "the attached law was not executed; the logged forces were applied"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
     Args:
         kinds: folder of vehicle types of the user's own; see `recorded_vehicle`.
     """
-    findings = [Finding("file", HOLDS, f"{log.messages} messages, every checksum right")]
+    findings = [Finding("file", HOLDS, f"{log.messages} messages, all checksums are correct")]
     findings += [] if log.runs else [Finding("runs", MISSING, "the log has no run")]
     try:
         vehicle = recorded_vehicle(log, kinds)
@@ -114,7 +115,7 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
     findings: list[Finding] = []
     there, here = vars(vehicle.implementation), vars(own.implementation)
     if other := ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key]):
-        findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {other}"))
+        findings.append(Finding("implementation", NOTE, f"differs from vehicle.toml: {other}"))
     if isinstance(controller, Controller):
         findings += _findings("certificate", _check_certificate(own, controller, recorded, log.timestep))
         if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
@@ -125,7 +126,7 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
     try:
         again, physics = replay(log, recorded, own, controller)
     except WRONG as error:
-        findings.append(Finding("responses", MISSING, f"the run cannot be made again: {error}"))
+        findings.append(Finding("responses", MISSING, f"the run cannot be repeated: {error}"))
         return Inspected(recorded, tuple(findings), None)
     findings += _findings("responses", _check_responses(recorded, again, physics))
     if not again.prediction.is_linear and any(error is not None for error in recorded.claim("errors").values()):
@@ -156,11 +157,11 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     if not (certificate.peaks_at(float(peak)) if there and peak is not None else peak is None and not there):
-        wrong.append("its peak frequency is not what was claimed")
+        wrong.append("its peak frequency differs from the claimed one")
     said = np.array(recorded.claim("poles"), dtype=float).reshape(len(certificate.poles), 2)
     far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
     if not far <= SAME * np.abs(certificate.poles).max():
-        wrong.append("its poles are not those claimed")
+        wrong.append("its poles differ from the claimed ones")
     for text in wrong:
         yield Finding("certificate", FAILS, text)
     if wrong:
@@ -190,15 +191,13 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
         far, signal = largest_difference(logged.until(until), response.until(until))
         worst = max(worst, far)
         if not far <= (REPLAYED if topic == MUJOCO else ROUNDING):
-            wrong.append(f"{signal} of the {topic} response is {far:.1e} of its peak off")
+            wrong.append(f"{signal} of the {topic} response differs by {DIFFERENCE.digits(far)} of its peak")
     for text in wrong:
         yield Finding("responses", FAILS, text)
     if not wrong:
-        how = f"to {worst:.0e} of a peak" if worst else "bit for bit"
-        names = {MUJOCO: "MuJoCo's", SAMPLED: "sampled", CONTINUOUS: "continuous"}
-        *some, last = (names[topic] for topic in new)
-        which = f"{', '.join(some)} and {last}" if some else last
-        yield Finding("responses", HOLDS, f"{which} come out as they were logged, {how}")
+        how = f"to {ALLOWED.digits(worst)} of a peak" if worst else "bit for bit"
+        which = ", ".join({MUJOCO: "MuJoCo", SAMPLED: "sampled", CONTINUOUS: "continuous"}[topic] for topic in new)
+        yield Finding("responses", HOLDS, f"the repeated responses ({which}) equal the logged ones {how}")
 
 
 def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
@@ -218,18 +217,16 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
     """Compares this run in the attached result of the command, if the result is of the logged runs alone."""
     result, command = json.loads(log.attachments["result.json"]), log.metadata.get("command", "")
     if command not in WHOLE:
-        yield Finding("result", NOTE, "result.json needs more runs than the log has; it is not computed again")
+        yield Finding("result", NOTE, "result.json depends on runs that the log does not contain; it is not recomputed")
         return
     names = [f"{one['controller']['name']}{logged_variant(one.get('without', ''))}" for one in result.get("runs", [])]
     mine = [one for one, name in zip(result.get("runs", []), names, strict=True) if name == recorded.name]
     if len(mine) != 1:
-        yield Finding("result", FAILS, "result.json does not have this run once")
+        yield Finding("result", FAILS, "result.json must contain this run once")
         return
     known = (DEFINITIONS,) if run.vehicle.dampers else (DEFINITIONS, ONE_SIDED)
     if command == "drive" and result.get("definitions") not in known:
-        yield Finding(
-            "result", MISSING, "its metrics are of other definitions; the version that wrote the log computes them again"
-        )
+        yield Finding("result", MISSING, "its metrics have other definitions; inspect the log with the version that wrote it")
         return
     now = run_object(run) | {"half_step": half_step_object(run)}
     now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
@@ -244,7 +241,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         now |= {"iri": roughness_object(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     now = json.loads(json.dumps(now))
-    holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers as computed again"
+    holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers equal those of the repeated run"
     yield from _compared("result", "result.json", said, now, "numbers of the result", [holds])
 
 
@@ -253,6 +250,6 @@ def _compared(part: str, source: str, said: Any, now: Any, what: str, holds: Seq
     wrong = list(different(said, now))
     if wrong:
         more = f" (and {len(wrong) - 1} more {what}, the first of them {wrong[1]})" if len(wrong) > 1 else ""
-        yield Finding(part, FAILS, f"{source} says otherwise: {wrong[0]}{more}")
+        yield Finding(part, FAILS, f"{source} differs from the repeated run: {wrong[0]}{more}")
         return
     yield from (Finding(part, HOLDS, text) for text in holds)

@@ -52,7 +52,7 @@ def describe(proof: Proof) -> Document:
     versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
     more = [f"vehicle file {log.metadata.get('vehicle', 'without a name')}", f"versions {versions}"]
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
-    holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
+    holds = f"the log still proves what it claims{'; it makes no claim about goals' if goals else ''}"
     answer = holds if proof.holds else f"the log DOES NOT PROVE what it claims: {', '.join(proof.broken)}"
     first = (*notes(*filter(None, about)), *notes(*more, detail="full"), *_statements(proof.findings))
     last = Document("", (Statement(answer, "holds" if proof.holds else "fails"),))
@@ -77,7 +77,7 @@ def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
     held = [one for one in findings if one.verdict == HOLDS]
     others = [one for one in findings if one.verdict != HOLDS]
     return (
-        *notes(*[f"holds: {', '.join(dict.fromkeys(one.part for one in held))}"] * bool(held)),
+        *notes(*[f"proved: {', '.join(dict.fromkeys(one.part for one in held))}"] * bool(held)),
         *notes(*(f"{one.part}: {one.text}" for one in held), detail="full"),
         *(Statement(f"{one.part} {one.verdict}: {one.text}", "note" if one.proved else "fails") for one in others),
     )

@@ -34,7 +34,7 @@ from models.vehicle.limits_and_implementation import Implementation, steps_held,
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements
 from synth.controller.controller import Controller
-from synth.controller.open_loop import OpenLoop, continuous, readings_of_road, sampled
+from synth.controller.open_loop import OpenLoop, continuous, heights_read, readings_of_road, sampled
 from synth.plant.discrete import held_inputs
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
@@ -205,6 +205,8 @@ def _outside(cut: OpenLoop, vehicle: Vehicle, controller: Controller, pulls: Ele
         turn = np.exp(1j * omega * h)[:, None, None]
         outputs = outputs + model.Dw * (turn - 1) / h
         felt = readings_of_road(cut, controller) * (1 - 1 / turn) / h if readings_of_road(cut, controller).any() else None
+    if (of_heights := heights_read(cut, controller)).any():
+        felt = of_heights if felt is None else felt + of_heights
     if controller.preview is not None:
         period = h * steps_per_sample(vehicle.implementation, h)
         ahead = _on_inputs(controller.preview.sampled_response(omega, period), cut)

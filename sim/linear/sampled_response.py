@@ -51,7 +51,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, OpenLoop
+from synth.controller.open_loop import LoopModel, OpenLoop, heights_read
 from synth.plant.discrete import held_inputs
 
 if TYPE_CHECKING:
@@ -142,7 +142,8 @@ def sampled_responses(
         from sim.linear.piecewise_linear_steps import CurvedSteps
 
         steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
-    # Of loads, by measured accelerations, and of the road ahead, on requested forces and on the rates of the law's states.
+    # Of loads, by measured accelerations, of measured heights, and of the road ahead, on requested forces and on the rates of the
+    # law's states.
     through_readings = None
     if loads is not None:
         push += loads @ Gamma_l[0].T
@@ -150,6 +151,8 @@ def sampled_responses(
         through_readings = (
             np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
         )
+    if (of_heights := heights_read(cut, controller)).any():
+        through_readings = now @ of_heights.T + (0.0 if through_readings is None else through_readings)
     if controller.preview is not None:
         ahead = np.stack([forces_ahead(controller.preview, road, period) for road in roads])
         ahead = np.concatenate([ahead, np.zeros((*ahead.shape[:2], len(cut.hold)))], axis=2)
@@ -481,7 +484,8 @@ def response_of(
         from sim.linear.dampers import linear_signals
 
         n, m = vehicle.linear_model.B.shape
-        beside = linear_signals(vehicle, states[:, :n], inputs[:, :m])
+        of_heights = model.Cr[[model.outputs.index(force) for force in vehicle.linear_model.inputs]]
+        beside = linear_signals(vehicle, states[:, :n], inputs[:, :m] + z_r @ of_heights.T)
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}

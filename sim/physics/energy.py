@@ -41,7 +41,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
@@ -98,11 +99,11 @@ class Energy(Shown):
     allowed: float = BALANCED
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns whether it balances, and the energies, as text."""
+    def shown(self) -> Document:
+        """Returns whether it balances, and the energies."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
         joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        return f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules
+        return facts(f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules)
 
     @property
     def fails(self) -> bool:

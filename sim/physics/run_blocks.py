@@ -20,8 +20,7 @@ from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
 from sim.physics.driver import Failure, RecordedForces, RunDriver
-from sim.physics.sensor_readout import beside_reading, mix, prepared, sensed_stage
-from sim.physics.surface_steps import batch_of
+from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged

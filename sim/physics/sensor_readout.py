@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed_dofs
@@ -19,7 +20,8 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
     model, readout = prepared(vehicle, timestep)
     # A model without a stop, a bar or a ramp cannot hold that of another vehicle.
-    elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
+    actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
+    elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     closing = readout.stretching if vehicle.dampers else np.zeros(0)
     return b"".join(
@@ -70,6 +72,19 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
     """Returns model and readout of a vehicle, cached: a search runs one vehicle hundreds of times. `Batch` copies the model."""
     model = build_model(vehicle, timestep, drawn=False)
     return model, _readout(vehicle, model)
+
+
+def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
+    """Returns a batch of N runs on one thread, each of its own model if there are several."""
+    if any(one.surface is not None for one in vehicles[0].fitted):
+        from sim.physics.surface_steps import SurfaceBatch
+
+        batch: Batch = SurfaceBatch(model, vehicles, models)
+    else:
+        batch = Batch(model, len(vehicles), 1)
+    if models:
+        batch.set_models(models)
+    return batch
 
 
 def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:

@@ -14,8 +14,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics.sensor_readout import prepared
-from sim.physics.surface_steps import batch_of
+from sim.physics.sensor_readout import batch_of, prepared
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
 SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ

@@ -17,22 +17,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.suspension.curve_actuators import SURFACE
+from models.suspension import SURFACE
 from models.vehicle.mjcf import FITTED
 from models.vehicle.vehicle import Vehicle
 from sim.response.recursion import SHARES, WEIGHTS
 
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
-
-
-def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
-    """Returns a batch of N runs on one thread, each of its own model if there are several."""
-    tabled = any(one.surface is not None for one in vehicles[0].fitted)
-    batch = SurfaceBatch(model, vehicles, models) if tabled else Batch(model, len(vehicles), 1)
-    if models:
-        batch.set_models(models)
-    return batch
 
 
 class SurfaceBatch(Batch):

@@ -9,7 +9,6 @@ from typing import Annotated
 from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError
 from models.common.files import made_folder
-from models.common.printed import Whole, pasted_path
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
@@ -67,12 +66,10 @@ def record(
             write_rrd(written["rerun"], runs, metadata)
             return _published(written, folder, stem)
     except OSError as error:
-        raise _not_writable(folder, error) from error
-
-
-def opening_lines(paths: Mapping[str, Path]) -> list[str]:
-    """Returns the commands that open each file of a recording."""
-    return [Whole(f"  rerun {pasted_path(paths['rerun'])}"), Whole(f"  {pasted_path(paths['mcap'])}")]
+        raise InputError(
+            f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
+            "give another one, or fix this one"
+        ) from error
 
 
 def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
@@ -95,10 +92,3 @@ def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str
             if not isinstance(error, FileExistsError):
                 raise
     raise AssertionError("unreachable: the numbers do not end")
-
-
-def _not_writable(folder: Path, error: OSError) -> InputError:
-    return InputError(
-        f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
-        "give another one, or fix this one"
-    )

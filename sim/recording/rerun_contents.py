@@ -8,7 +8,9 @@ import pyarrow as pa
 import rerun as rr
 
 from models.common.arrays import Array
+from models.document.document import Document, Table, notes, statements
 from models.document.figure import rgb
+from models.document.text import markdown
 from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_curves, signals_of
 from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (
@@ -28,6 +30,8 @@ from sim.recording.scene import (
 )
 from sim.response.regime import REGIME_ENDS
 from sim.response.response import Response
+from sim.runs.steps import WHEN
+from synth.controller.report import NORM
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
@@ -155,7 +159,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         return
     texts = [text for _, text in run.events]
     index = time_index(np.array([time for time, _ in run.events]))
-    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view hides the column of times
+    lines = [f"{WHEN.text(time)}   {text}" for time, text in run.events]  # a narrow view hides the column of times
     recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
     response = run.responses[MUJOCO]
     for text in dict.fromkeys(texts):
@@ -183,10 +187,9 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
 def listed(metadata: Mapping[str, str]) -> str:
     """Returns metadata as Markdown: a table of short values, then the long ones, cut after `READ` characters."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
-    rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
-    table = ["| key | value |", "|---|---|", *rows] if rows else []
-    blocks = [f"\n**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short]
-    return "\n".join(table + blocks)
+    table = Table("metadata", "", ("key", "value"), tuple(short.items()))
+    long = (f"**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short)
+    return markdown(Document("", (*[table] * bool(short), *notes(*long))))
 
 
 def _cut(text: str) -> str:
@@ -197,27 +200,22 @@ def _cut(text: str) -> str:
 
 def certificates(runs: Sequence[RunLog]) -> str:
     """Returns a table of every run's certificate, and each different result with its runs, in Markdown."""
-    keys, results = ("bound", "norm", "stable"), dict[str, list[str]]()
-    rows = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"]
+    keys, results = ("bound", "norm", "stable"), list[tuple[str, str]]()
     for run in runs:
-        claims = [_number(run.metadata.get(key, "-")) for key in keys]
-        rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} |")
-        first = f"; first: {run.events[0][1]}, {run.events[0][0]:.3g} s" if run.events else ""
-        results.setdefault(f"{_cell(run.verdict) or '-'}{first}", []).append(f"**{_cell(run.name)}**")
-    return "\n".join([*rows, "", "MuJoCo:", "", *(f"- {', '.join(names)}: {result}" for result, names in results.items())])
+        first = f"; first: {run.events[0][1]}, {WHEN.text(run.events[0][0])}" if run.events else ""
+        results.append((run.name, f"{run.verdict or '-'}{first}"))
+    rows = tuple((run.name, *(_number(run.metadata.get(key, "-")) for key in keys)) for run in runs)
+    table = Table("certificates", "", ("controller", *keys), rows)
+    return markdown(Document("", (table, *notes("MuJoCo:"), *statements(results))))
 
 
 def _number(text: str) -> str:
     """Returns a value of the metadata, formatted for people."""
     words = {"true": "yes", "false": "NO", "null": "-"}
     try:
-        return f"{float(text):.6g}"
+        return NORM.digits(float(text))
     except ValueError:
-        return words.get(text, _cell(text))
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", chr(92) + "|").replace("\n", " ")
+        return words.get(text, text)
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
@@ -242,7 +240,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
         )
         recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
     for track in scene.tracks:
-        _log_track(recording, entity(run.name, "world", "profile", track.name), scene.time, track)
+        _log_track(recording, entity(run.name, "world", "profile", track.bodies[0]), scene.time, track)
     for tyre in scene.tyres:
         _log_tyre(recording, entity(run.name, "world", tyre.body, tyre.name), scene, tyre)
     for name, ends in scene.springs.items():

@@ -33,6 +33,7 @@ from sim.recording.rerun_contents import (
 )
 from sim.recording.run_log import LOADS, RunLog
 from sim.recording.scene import largest_force
+from sim.runs.steps import DIFFERENCE as GAP
 
 # Direction of view: from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
@@ -98,7 +99,7 @@ def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
         return grid
     peaks = {curve.label: float(curve.response.peak(curve.signal)) for curve in page.difference}
     worst = max(peaks, key=lambda name: peaks[name])
-    title = f"{DIFFERENCE}; largest {peaks[worst]:.1e}, {worst}" if np.isfinite(peaks[worst]) else DIFFERENCE
+    title = f"{DIFFERENCE}; largest {GAP.digits(peaks[worst])}, {worst}" if np.isfinite(peaks[worst]) else DIFFERENCE
     origin = entity(runs[0].name, "difference", page.group)
     gap = _series(title, [curve.values for curve in page.difference], origin=origin)
     return rrb.Vertical(grid, gap, row_shares=[4, 1], name=page.title)

@@ -125,7 +125,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
         t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
         height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
         bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
-        tracks.append(Track(bodies[0], middle, start + road.speed * t, height, road.speed * time, bodies))
+        tracks.append(Track(middle, start + road.speed * t, height, road.speed * time, bodies))
     return tuple(tracks)
 
 
@@ -166,47 +166,6 @@ def _shape(model: mujoco.MjModel, i: int) -> Shape:
     )
 
 
-def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
-    """Returns the name of a log: command, vehicle file, controllers and time (UTC)."""
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
-    which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
-    name = re.sub(r"[^\w-]+", "_", Path(vehicle.source).stem) if vehicle.source else vehicle.kind.name
-    return f"{command}-{name[:LONGEST]}-{which}-{now}"
-
-
-def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
-    """Returns the metadata that all runs of a log share.
-
-    Args:
-        command_line: `python -m sim.COMMAND ...`, which repeats the runs.
-        timestep: timestep of the physics [s].
-    """
-    return {
-        "format": str(FORMAT),
-        "command": command_of(command_line),
-        "command_line": command_line,
-        "vehicle": vehicle.source,
-        "vehicle_type": vehicle.kind.name,
-        "timestep": repr(timestep),
-        "versions": json.dumps(versions()),
-    }
-
-
-def command_of(command_line: str) -> str:
-    """Returns NAME of a line `python -m sim.NAME ...`, or an empty string for another line."""
-    match = re.match(r"python -m sim\.(\w+)( |$)", command_line)
-    return match[1] if match else ""
-
-
-def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
-    """Returns the attachments: vehicle file, exact MJCF, and result as `--json` prints it."""
-    return {
-        "vehicle.toml": ("application/toml", vehicle.text.encode()),
-        "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
-        "result.json": ("application/json", json.dumps(result, allow_nan=False).encode()),
-    }
-
-
 def record_runs(
     folder: Path,
     command_line: str,
@@ -215,10 +174,10 @@ def record_runs(
     runs: Mapping[str, Run],
     result: Mapping[str, Any],
 ) -> dict[str, str]:
-    """Records the runs of a command by `sim.recording.files.record`.
+    """Records the runs of a command by `sim.recording.files.record`, under its name, vehicle file, controllers and time (UTC).
 
     Args:
-        command_line: command line, see `common_metadata`.
+        command_line: `python -m sim.COMMAND ...`, which repeats the runs.
         controllers: names of the controllers, for the name of the log.
         runs: runs by name in the log.
         result: result for `--json`.
@@ -233,14 +192,26 @@ def record_runs(
 
     logs = [run_log(run, name) for name, run in runs.items()]
     time = logs[0].responses[MUJOCO].time
-    timestep = float(time[1] - time[0])
-    paths = record(
-        folder,
-        stem(command_of(command_line), vehicle, controllers),
-        logs,
-        common_metadata(command_line, vehicle, timestep),
-        attachments(vehicle, timestep, result) | {name: file for log in logs for name, file in log.files.items()},
-    )
+    timestep, match = float(time[1] - time[0]), re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    metadata = {
+        "format": str(FORMAT),
+        "command": match[1] if match else "",
+        "command_line": command_line,
+        "vehicle": vehicle.source,
+        "vehicle_type": vehicle.kind.name,
+        "timestep": repr(timestep),
+        "versions": json.dumps(versions()),
+    }
+    attachments = {
+        "vehicle.toml": ("application/toml", vehicle.text.encode()),
+        "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
+        "result.json": ("application/json", json.dumps(result, allow_nan=False).encode()),
+        **{name: file for log in logs for name, file in log.files.items()},
+    }
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
+    which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
+    name = re.sub(r"[^\w-]+", "_", Path(vehicle.source).stem) if vehicle.source else vehicle.kind.name
+    paths = record(folder, f"{metadata['command']}-{name[:LONGEST]}-{which}-{now}", logs, metadata, attachments)
     return {name: str(path) for name, path in paths.items()}
 
 

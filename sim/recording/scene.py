@@ -98,7 +98,6 @@ class Track:
     """A road's profile along one track, which moves towards the vehicle.
 
     Attributes:
-        name: name of the track, unique.
         middle: middle of its width, along y [m].
         position: ascending positions of its points along x at time 0 [m], shape (N,).
         height: heights of the points [m], shape (N,).
@@ -106,7 +105,6 @@ class Track:
         bodies: pieces of road under the wheels, which replace the profile in other viewers.
     """
 
-    name: str
     middle: float
     position: Array
     height: Array
@@ -143,9 +141,9 @@ class Scene:
         mask = np.ones(len(self.time), dtype=bool)
         for array in numbers:
             mask &= np.isfinite(array).reshape(len(mask), -1).all(axis=1)
-        return Scene(
+        return replace(
+            self,
             time=self.time[mask],
-            shapes=self.shapes,
             bodies={name: Motion(motion.positions[mask], motion.quaternions[mask]) for name, motion in self.bodies.items()},
             springs={name: ends[mask] for name, ends in self.springs.items()},
             tyres=tuple(replace(tyre, height=tyre.height[mask]) for tyre in self.tyres),

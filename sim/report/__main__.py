@@ -21,10 +21,19 @@ from models.common.command import Parser, chosen_of
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import PLUS, without_copies
-from sim.command.drive_options import add_road, requested_road, road_text
-from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
+from sim.command.road_options import (
+    add_exported,
+    add_loads,
+    add_road,
+    left_out_lines,
+    omitted_controllers,
+    requested_road,
+    road_text,
+)
 
 if TYPE_CHECKING:
+    from models.document.document import Table
+    from models.document.figure import Figure
     from models.document.page import Page
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
@@ -59,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.names import named_files
+    from sim.report.contents import report_object
     from sim.report.worker_processes import WorkerPool, processes
     from sim.studies.ride.standing import standing_lines
 
@@ -81,26 +91,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if len(subjects) > 1:
         return _several(options, outputs, results, undesigned)
     ((vehicle, names),), (result,), (outputs,) = subjects.values(), results.values(), outputs.values()
-    others = omitted_controllers(vehicle, options.controller, names)
-    older = _others(result.page, options.figures) if options.figures is not None else []
+    others, page = omitted_controllers(vehicle, options.controller, names), result.page
+    older = _others(page, options.figures) if options.figures is not None else []
     if options.json:
-        from sim.report.contents import report_object
-
         whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print(json.dumps(whole, allow_nan=False))
     else:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
-        compared = standing_lines(result.compared, result.compared_on)
-        page, coded = result.page, []
-        if options.exported is not None:
-            from sim.report.exported import TITLE
-
-            coded = [f"the code of {options.exported} is driven and judged in the section {TITLE!r}"]
-        lines = [*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared]
+        lines = [
+            *written_lines(outputs)[1:],
+            *left,
+            *left_out_lines(others),
+            "",
+            *standing_lines(result.compared, result.compared_on),
+        ]
         if not options.brief:
-            # What percentages are of, the table says.
-            room, texts = [*lines, "", "", page.verdict], [one.text for one in page.answer]
-            said = texts if options.verbose else some_sentences([one.text for one in page.lead[:-1]], room)
+            said = (
+                [one.text for one in page.answer]
+                if options.verbose
+                else some_sentences(page.warnings, [*lines, "", page.verdict])
+            )
             lines += ["", *said, *([""] if said else []), page.verdict]
         say(lines)
     return 1 if undesigned else 0
@@ -173,11 +183,10 @@ def _reported(
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """A report whose page is written, with its figures if they are requested."""
-    from models.common.errors import InputError
     from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import BUMP_DURATION, Exported, Scope, check_scope
+    from sim.report.scope import BUMP_DURATION, Scope, check_scope
     from sim.runs.run import sample_times
     from synth.controller.controller import Controller, code_of
     from synth.vehicle.designer import Designer
@@ -209,7 +218,7 @@ def _reported(
     if options.exported is not None:
         known = {one.name: one for one in controllers}
         coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
-        exported = Exported(options.exported, next(one for one in coded if code_of(one) is not None))
+        exported = next(one for one in coded if code_of(one) is not None)
     warn(vehicle, controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
@@ -259,7 +268,7 @@ def _gallery(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({**gallery_object(results), **written(outputs)}, allow_nan=False))
     else:
-        say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.lead)])
+        say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0
 
 
@@ -277,8 +286,10 @@ def _about(source: str) -> dict[str, str]:
 
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
     """Writes a page, with its figures if they are requested: all of it, or nothing."""
-    from models.common.files import made_folder, together
+    from models.common.files import made_folder, together, whole_file
+    from models.document.figure import Figure
     from models.document.page import write_page
+    from models.document.picture import write_picture
 
     out, figures = outputs["report"], outputs["figures"]
     assert out is not None, "every page has a file"
@@ -287,8 +298,14 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
             stack.enter_context(made_folder(figures, "figures"))
         stack.enter_context(together())
         write_page(page, out)
-        if figures is not None:
-            _write_figures(page, figures)
+        if figures is None:
+            return
+        for one, names in _files(page):
+            if isinstance(one, Figure):
+                write_picture(one, *(figures / name for name in names))
+            else:
+                with whole_file(figures / names[0], "table") as beside:
+                    beside.write_text(one.csv, encoding="utf-8", newline="")
 
 
 def _parser() -> Parser:
@@ -318,26 +335,14 @@ def _parser() -> Parser:
     return parser
 
 
-def _write_figures(page: "Page", folder: Path) -> None:
-    """Writes every figure as SVG and PNG and every table as CSV, each whole or not at all."""
-    from models.common.files import whole_file
-    from models.document.picture import write_picture
-
-    for part in page.parts:
-        for figure in part.figures:
-            write_picture(figure, *(folder / f"{figure.name}{suffix}" for suffix in (".svg", ".png")))
-        for table in part.tables:
-            with whole_file(folder / f"{table.name}.csv", "table") as beside:
-                beside.write_text(table.csv, encoding="utf-8", newline="")
+def _files(page: "Page") -> "list[tuple[Figure | Table, tuple[str, ...]]]":
+    """Returns the figures and tables of a page with the names of their files."""
+    figures = [(one, (f"{one.name}.svg", f"{one.name}.png")) for one in page.whole.figures]
+    return [*figures, *((one, (f"{one.name}.csv",)) for one in page.whole.tables)]
 
 
 def _others(page: "Page", folder: Path) -> list[str]:
     """Figures and tables in the folder that are not of this page: of an earlier report, or its owner's, so they stay."""
-    own = {f"{table.name}.csv" for part in page.parts for table in part.tables}
-    own |= {f"{figure.name}{suffix}" for part in page.parts for figure in part.figures for suffix in (".svg", ".png")}
-    there = {
-        path.name
-        for path in folder.iterdir()
-        if path.suffix.lower() in (".csv", ".svg", ".png") and not path.name.startswith(".")
-    }
-    return sorted(there - own)
+    own = {name for _, names in _files(page) for name in names}
+    there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
+    return sorted(name for name in there - own if not name.startswith("."))

@@ -12,9 +12,8 @@ from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
 from models.document.text import names_text
-from sim.command.drive_options import end_lines
+from sim.command.road_options import end_lines
 from sim.report.scope import BUMP_DURATION, Scope
-from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
 from sim.runs.run import Run
@@ -25,6 +24,7 @@ from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
 ROOM = 1.15  # times what was reached, on both axes
+NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
 def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
@@ -32,15 +32,9 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
 
     It is None for a vehicle without such parts.
     """
-    drawn = diagrams(scope.vehicle)
-    if not drawn:
-        return None
-    title = (
-        f"Forces of dampers and springs over {where}, with their curves or limits, and the lines of linear analysis.\n"
-        "Points: MuJoCo, a damper with its actuator"
-    )
-    panels = tuple(_panel(scope, diagram, runs) for diagram in drawn)
-    return Figure("suspension", title, panels, columns=min(2, len(panels)))
+    panels = tuple(_panel(scope, diagram, runs) for diagram in diagrams(scope.vehicle))
+    title = f"Forces over {where}. Lines: characteristics or limits, and their linearisation. Points: MuJoCo, with the actuator."
+    return Figure("suspension", title, panels, columns=min(2, len(panels))) if panels else None
 
 
 def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
@@ -50,8 +44,8 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
         x = diagram.x(response)
         force, style = diagram.force(x, response), scope.styles[run.controller.name]
-        every = max(1, len(x) // DIAGRAM_POINTS)
-        points.append(Curve(x[::every], force[::every], run.controller.name, style.color, "none", style.marker))
+        some = slice(None, None, max(1, len(x) // DIAGRAM_POINTS))
+        points.append(Curve(x[some], force[some], run.controller.name, style.color, "none", style.marker))
         far, high = max(far, float(np.abs(x).max(initial=0.0))), max(high, float(np.abs(force).max(initial=0.0)))
     x = np.linspace(-ROOM * far, ROOM * far, OF_LINE)
     lines = [Curve(x, one.force(x), one.label, "#000000", one.dash, width=one.width) for one in diagram.lines]
@@ -63,16 +57,17 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
 def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
     """Returns the section on the road of the report: its signals over time, and their peaks or, measured when, the metrics."""
-    road = scope.own_road
-    drawn = history_figure(runs, scope.where if road is None else scope.road_name), suspension_figure(scope, runs, scope.where)
-    figures = [one for one in drawn if one is not None]
+    road, text, title = scope.own_road, (), "Response to the road"
+    drawn = history_figure(runs, scope.where if road is None else scope.road_name)
     if road is None:
-        figures = [replace(one, name="bump") if one is drawn[0] else one for one in figures]
-        return Document("Response to the paper's bump", (*run_statements(runs, scope.where), *figures, _peaks(scope, runs)))
-    about = f"{road.words}. The runs take {scope.duration:g} s; metrics are measured {when}."
-    about = " ".join([f"{about[0].upper()}{about[1:]}", *(line.strip() for line in end_lines(road, scope.duration))])
-    said = (*notes(about), *run_statements(runs, scope.where))
-    return Document("Response to the road", (*said, *figures, _metrics(runs, measured)))
+        title, table = "Response to the paper's bump", _peaks(scope, runs)
+        drawn = drawn and replace(drawn, name="bump")
+    else:
+        about = f"{road.words}. The runs take {scope.duration:g} s; metrics are measured {when}."
+        text = notes(" ".join([f"{about[0].upper()}{about[1:]}", *(line.strip() for line in end_lines(road, scope.duration))]))
+        table = _metrics(runs, measured)
+    figures = (one for one in (drawn, suspension_figure(scope, runs, scope.where)) if one is not None)
+    return Document(title, (*text, *run_statements(runs, f"Over {scope.where}, "), *figures, table))
 
 
 def _peaks(scope: Scope, runs: Sequence[Run]) -> Table:
@@ -82,11 +77,16 @@ def _peaks(scope: Scope, runs: Sequence[Run]) -> Table:
     columns: tuple[Field[tuple[Run, str]], ...] = (
         Field("signal", lambda of: of[1].replace("_", " ")),
         Field("unit", lambda of: vehicle.kind.signal(of[1]).unit),
-        Field("controller", lambda of: of[0].controller.name),
-        Field("linear until", lambda of: min(_linear_until(of[0]), BUMP_DURATION), WHEN.form, unit="s"),
+        NAME.of(lambda of: of[0]),
+        Field(
+            "linear until",
+            lambda of: min(BUMP_DURATION, of[0].agreement.until, *of[0].agreement.ended.values()),
+            WHEN.form,
+            unit="s",
+        ),
         *SIZES,
     )
-    caption = "Peaks over the bump in MuJoCo; below, and in the file, peaks of both linear responses, and all rms values."
+    caption = "Peaks over the bump in MuJoCo. The full table adds both linear responses and rms values."
     return Table.of("bump", caption, columns, pairs, words=3, pivot=Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",)))
 
 
@@ -96,37 +96,35 @@ def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
     columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
         Field("metric", lambda of: of[1].replace("_", " ")),
         METRIC[0].of(lambda of: of[2]),
-        Field("controller", lambda of: of[0].controller.name),
+        NAME.of(lambda of: of[0]),
         *(column.of(lambda of: of[2]) for column in METRIC[1:]),
     )
-    caption = "Every metric in MuJoCo; below, and in the file, in the sampled response, and the mean over all such roads."
+    caption = "Metrics in MuJoCo. The full table adds the sampled response and the mean over all such roads."
     return Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
 
 
 def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
-    """Returns the verdicts on runs, and the reasons of each."""
+    """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
     said = [(run.controller.name, one) for run in runs for one in reasons(run)]
-    return (*verdicts(runs, f"Over {where}, "), *(replace(one, detail="full") for one in shared(said)))
-
-
-def _linear_until(run: Run) -> float:
-    """Returns the time of the first event that ends the linear regime [s]; infinite without one."""
-    return min(run.agreement.until, *run.agreement.ended.values())
+    return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
+    linear = not (scope.vehicle.is_curved or scope.vehicle.dampers)  # the sampled response tends to the continuous one
+
+    def settles(run: Run) -> bool:
+        return linear and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
+
     columns: tuple[Field[tuple[Run, Run | None, str]], ...] = (
-        Field("controller", lambda of: of[0].controller.name),
+        NAME.of(lambda of: of[0]),
         Field("signal", lambda of: of[2].replace("_", " ")),
-        Field("to sampled", lambda of: _signal(of).sampled, DIFFERENCE.form),
-        Field("allowed", lambda of: of[0].prediction.cause or _signal(of).allowed, DIFFERENCE.form),
+        Field("to sampled", lambda of: of[0].agreement.signals[of[2]].sampled, DIFFERENCE.form),
+        Field("allowed", lambda of: of[0].prediction.cause or of[0].agreement.signals[of[2]].allowed, DIFFERENCE.form),
         Field("its order", lambda of: _order(*of, "sampled"), ".2f"),
-        Field(
-            "to continuous", lambda of: None if scope.is_nonlinear else of[0].agreement.signals[of[2]].continuous, DIFFERENCE.form
-        ),
-        Field("order of that", lambda of: _order(*of, "continuous") if _settles(scope, of[0]) else None, ".2f"),
+        Field("to continuous", lambda of: of[0].agreement.signals[of[2]].continuous if linear else None, DIFFERENCE.form),
+        Field("order of that", lambda of: _order(*of, "continuous") if settles(of[0]) else None, ".2f"),
     )
     step, causes = 1e3 * scope.timestep, {run.prediction.cause for run in runs}
     texts = [
@@ -143,23 +141,16 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         texts.append(f"The sampled response has no {scope.vehicle.implementation.noise_text}; this difference has no order.")
     if any(cause.startswith("geometry") for cause in causes):
         texts.append("Linear analysis assumes small rotations; this difference shrinks with the height of the road only.")
-    if scope.prompt and not scope.is_nonlinear:
+    if scope.prompt and linear:
         texts.append(
             "The sampled response tends to the continuous one with order 1, as the force is held over a step; without a force, "
             "with order 2."
         )
-    caption = "Distance of MuJoCo from the sampled response, relative to each peak; below, its allowed value or cause, and order."
+    caption = (
+        "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds what is allowed, and orders."
+    )
     table = Table.of("agreement", caption, columns, pairs, words=2, pivot=Pivot(("signal",), "controller", ("to sampled",)))
     return Document("Agreement with linear analysis", (*notes(*texts), table, energy_table(runs, scope.where)))
-
-
-def _signal(of: tuple[Run, Run | None, str]) -> SignalAgreement:
-    return of[0].agreement.signals[of[2]]
-
-
-def _settles(scope: Scope, run: Run) -> bool:
-    """Returns True if a run's sampled response tends to the continuous one with the step."""
-    return not scope.is_nonlinear and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
 
 
 def _order(run: Run, finer: Run | None, name: str, to: str) -> float | None:

@@ -7,29 +7,28 @@ from functools import partial
 from typing import Any
 
 from models.document.document import Document, Table
-from models.document.page import VERDICTS, Page
+from models.document.page import Page
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import Vehicle
-from sim.command.comparison import passive_beside, standings_of
+from sim.command.comparison import standings_of
 from sim.linear.nonlinear_elements import at_rest
-from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, response_section
-from sim.report.best import dives, lead, titled
 from sim.report.designs import design_section, paper_section
-from sim.report.loads import loads_section
+from sim.report.exported import exported_section
+from sim.report.loads import dives, loads_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
-from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
+from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope, file_stem
 from sim.report.summary import compared_on, first_screen, trust_section
-from sim.runs.run import Run, run_controllers, sample_times
+from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.report import describe, workshop
 from sim.studies.frequency.sweep import OWN, Sweep, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
-from sim.studies.ride.standing import Standing, headline, standing, standings_object, without_unsound
+from sim.studies.ride.standing import Standing, headline, some_names, standing, standings_object, without_unsound
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_end import regime_ends
 from sim.studies.validity.regime_map import Cells, validity
@@ -92,16 +91,11 @@ def report(
         measured = [measure_run(run, *samples) for run in runs]
         over_roads = []
     compared, when = _compared(scope, runs, over_roads, samples, measured), measured_words(time, samples)
-    answer = [
-        *report_answer.loops(scope),
-        *report_answer.norms(scope),
-        *report_answer.left_out(scope),
-    ]
-    sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
-    sections += frequencies[:1]
+    disagree = {run.controller.name for run in runs if not run.agreement.agrees}
+    wrong = [one.name for one, _ in ends if one.name in disagree]  # no height is claimed for them
+    sections = [trust_section(scope, runs, ends, wrong), design_section(scope), *frequencies[:1]]
     sections += [response_section(scope, runs, measured, when), agreement_section(scope, runs, finer)]
     if ends:
-        wrong = report_answer.unclaimed(ends, runs)
         sections.append(describe_ends(vehicle, ends, wrong, bump, scope.where, f"{BUMP_DURATION:g} s at {1e3 * h:g} ms"))
     if (MARGINS, "") in parts:
         maps = [parts[MAP, one.name] for one in scope.active]
@@ -111,54 +105,45 @@ def report(
     sections += frequencies[1:]
     sections += [parts[name, ""] for name in (LOADS, EXPORTED, FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
-    answer += [one for section in sections for one in section.statements if one.state != "note"]
-    where, dive = compared_on(scope, compared, bool(rides), when), dives(scope)
-    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    where = compared_on(scope, compared, bool(rides), when)
+    names, kind = some_names([one.name for one in scope.driven]), vehicle.kind.name.replace("_", " ")
     whole = Page(
-        titled(vehicle, scope.stem, scope.driven),
-        tuple(answer),
-        first_screen(scope, runs, compared, dive, where),
+        f"{file_stem(vehicle)}: {names} on a {kind}, from linear analysis to MuJoCo",
+        first_screen(scope, runs, compared, dives(scope), where),
         tuple(sections),
         headline(compared),
-        lead(compared, dive, norms, where),
         sketch=vehicle_sketch(vehicle),
     )
-    return Report(replace(whole, verdict=VERDICTS[whole.state].replace("the paper's bump", scope.where)), compared, where)
+    return Report(whole, compared, where)
 
 
 def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bool = False) -> tuple[str, ...]:
     """The stages of a page, in their order where one process does all of it: the reverse of `pieces_of`."""
-    there = {PAPER: is_the_papers(vehicle), LOADS: loads, RIDE: not quick, MAP: not quick, MARGINS: not quick, FRONT: front}
-    there[EXPORTED] = exported
-    return (
-        BUMP,
-        REGIME,
-        *(name for name in (PAPER, LOADS, EXPORTED, FREQUENCIES, RIDE, MAP, MARGINS, FRONT) if there.get(name, True)),
-    )
+    there = {PAPER: is_the_papers(vehicle), LOADS: loads, EXPORTED: exported, FREQUENCIES: True, RIDE: not quick, MAP: not quick}
+    there |= {MARGINS: not quick, FRONT: front}
+    return BUMP, REGIME, *(name for name, wanted in there.items() if wanted)
 
 
 def pieces_of(scope: Scope) -> dict[Name, Piece]:
     """Returns the independent pieces of a page, by stage and subject, the longest first."""
-    pieces: dict[Name, Piece] = {}
-    if scope.front is not None:
-        from sim.report.front import front_section
+    maps = {(MAP, one.name): partial(_map, number=i) for i, one in enumerate(scope.active)}
+    some, full = bool(scope.stable or scope.laws), not scope.quick
+    return {
+        **({(FRONT, ""): _front} if scope.front is not None else {}),
+        **({(MARGINS, ""): _margins, **maps} if full and maps else {}),
+        **({(RIDE, ""): _rides} if full and some else {}),
+        (FREQUENCIES, ""): _frequencies,
+        **({(EXPORTED, ""): exported_section} if scope.exported is not None else {}),
+        **({(LOADS, ""): loads_section} if scope.loads and some else {}),
+        **({(PAPER, ""): paper_section} if is_the_papers(scope.vehicle) else {}),
+    }
 
-        pieces[FRONT, ""] = front_section
-    if not scope.quick and scope.active:
-        pieces[MARGINS, ""] = _margins
-        pieces |= {(MAP, one.name): partial(_map, number=i) for i, one in enumerate(scope.active)}
-    if not scope.quick and (scope.stable or scope.laws):
-        pieces[RIDE, ""] = _rides
-    pieces[FREQUENCIES, ""] = _frequencies
-    if scope.exported is not None:
-        from sim.report.exported import exported_section
 
-        pieces[EXPORTED, ""] = exported_section
-    if scope.loads and (scope.stable or scope.laws):
-        pieces[LOADS, ""] = loads_section
-    if is_the_papers(scope.vehicle):
-        pieces[PAPER, ""] = paper_section
-    return pieces
+def _front(scope: Scope) -> Document:
+    """Returns the section on a trade-off."""
+    from sim.report.front import front_section  # only a report with --front waits for its import
+
+    return front_section(scope)
 
 
 def _frequencies(scope: Scope) -> list[Document]:
@@ -229,6 +214,8 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
+    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven}]:
+        rows["controllers not on this page"] = ", ".join(absent)
     h = 1e3 * scope.timestep
     rows |= {"road": scope.own_road.words, "duration": f"{scope.duration:g} s"} if scope.own_road is not None else {}
     rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
@@ -239,31 +226,37 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
         seeds += [f"{SEED}, of the genetic algorithm"] if is_the_papers(vehicle) else []
         seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
-    settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
-    settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
-    settings += [(f"weight of {one.name}", f"{one.weight:g} of {one.text}") for one in vehicle.sums]
-    settings += [(f"filter of {one.name}", one.filter.words) for one in vehicle.weighted if one.filter is not None]
-    settings += [("filter of the road", vehicle.road_filter.words)] if vehicle.road_filter is not None else []
-    settings += [(f"[limits] {name}", text) for name, text in vehicle.limits.written.items()] or [("[limits]", "none")]
     built = {"sample_period": how.sample_period, "delay": how.delay or None}
     built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
     built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
-    there = [(f"[implementation] {name}", f"{value:g}") for name, value in built.items() if value is not None]
-    settings += there or [("[implementation]", "none")]
-    settings += [
-        (f"[curves] {one.parameter}", one.curve.words) for one in {one.parameter: one for one in vehicle.fitted}.values()
-    ]
-    for one in vehicle.adjustable:
-        lag = {} if one.damper.bandwidth is None else {"bandwidth": one.damper.bandwidth}
-        ranges = {"c_min": one.damper.c_min, "c_max": one.damper.c_max, **lag}
-        settings += [(f"[actuators] {name}{one.ending}", f"{value:g}") for name, value in ranges.items()]
+    dampers = {
+        f"[actuators] {name}{one.ending}": value
+        for one in vehicle.adjustable
+        for name, value in (("c_min", one.damper.c_min), ("c_max", one.damper.c_max), ("bandwidth", one.damper.bandwidth))
+        if value is not None
+    }
+    settings = {
+        **vehicle.parameters,
+        **{f"weight of {name}": value for name, value in vehicle.performance.items()},
+        **{f"weight of {one.name}": f"{one.weight:g} of {one.text}" for one in vehicle.sums},
+        **{f"filter of {one.name}": one.filter.words for one in vehicle.weighted if one.filter is not None},
+        **({"filter of the road": vehicle.road_filter.words} if vehicle.road_filter is not None else {}),
+        **({f"[limits] {name}": text for name, text in vehicle.limits.written.items()} or {"[limits]": "none"}),
+        **(
+            {f"[implementation] {name}": value for name, value in built.items() if value is not None}
+            or {"[implementation]": "none"}
+        ),
+        **{f"[curves] {one.parameter}": one.curve.words for one in vehicle.fitted},
+        **dampers,
+    }
+    given = tuple((name, value if isinstance(value, str) else f"{value:g}") for name, value in settings.items())
     caption = (
-        "Every number of the vehicle file that this page depends on, as it stands there, in SI units: a bandwidth in rad/s. All "
-        "other frequencies on this page are in Hz."
+        "Numbers of the vehicle file that this page depends on, in SI units. A bandwidth is in rad/s; all other frequencies on "
+        "this page are in Hz."
     )
     tables = (
-        Table("provenance", "What this page was made from, and how.", ("what", "value"), tuple(rows.items()), words=2),
-        Table("vehicle", caption, ("parameter [SI]", "value"), tuple(settings)),
+        Table("provenance", "Origin and settings of this page.", ("what", "value"), tuple(rows.items()), words=2),
+        Table("vehicle", caption, ("parameter [SI]", "value"), given),
     )
     return Document("Provenance and settings", tables)
 
@@ -271,15 +264,11 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
 def report_object(report: Report) -> dict[str, Any]:
     """Answer, tables and standings as in JSON."""
     page = report.page
-    tables = {
-        table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]
-        for part in page.parts
-        for table in part.tables
-    }
+    tables = {one.name: [dict(zip(one.headings, row, strict=True)) for row in one.rows] for one in page.whole.tables}
     whole = {
         "title": page.title,
         "headline": page.headline,
-        "lead": [one.text for one in page.lead],
+        "lead": [f"{page.headline}."],
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": tables,

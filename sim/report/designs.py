@@ -1,22 +1,22 @@
 """The sections of a report on what was designed: gains, certificates, frequency responses, and the paper's numbers."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from models.common.printed import as_name
-from models.document.document import Block, Document, Table, notes
+from models.document.document import Block, Document, Statement, Table
+from models.document.document import statements as statements_on
 from models.document.field import Field
+from models.document.text import names_text
 from models.laws.linear import gain_text, states_text
-from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.report.scope import Scope
 from synth.analysis.specification import Specification, digits
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
-from synth.controller.report import failures_of_sampled_loop
+from synth.controller.report import failures_of_sampled_loop, study_notes
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
 
@@ -25,21 +25,50 @@ FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel'
 
 def design_section(scope: Scope) -> Document:
     """Returns the section on designs: norms, bounds and certificates as `python -m synth` prints them, goals, and gains."""
-    rows, designer = [_row(scope, one) for one in scope.controllers], scope.designer
-    document = describe(scope.vehicle, rows, designer.beyond_control, designer.plant, apart=True)
-    blocks: list[Block] = [*document.blocks]
+    rows, designer, vehicle = [_row(scope, one) for one in scope.controllers], scope.designer, scope.vehicle
+    document = describe(vehicle, rows, designer.beyond_control, designer.plant, apart=True)
+    blocks: list[Block] = [*_loops(scope), *document.blocks]
     if scope.laws:
-        where = next(i for i, block in enumerate(blocks) if isinstance(block, Table))
-        blocks[where] = _with_laws(scope, document.tables[0])
-        text = f"The force of {scope.kind_of_laws} is {_known(scope)}: nothing is proved for it, and its columns are empty."
+        (table,) = (one for one in document.tables if one.name == "designs")
+        blocks[blocks.index(table)] = _with_laws(scope, table)
         described = tuple((one.name, *one.text.removesuffix(")").partition(" (")[::2]) for one in scope.laws)
         caption = "Description of the laws without a proof."
-        blocks += [*notes(text), Table("laws", caption, ("controller", "law", "what it does"), described, 3)]
-    if goals := goals_table(scope.controllers):
-        blocks.append(goals)
-    return Document(
-        document.title, (*blocks, *(table for one in scope.controllers if (table := gain_table(scope.vehicle, one)) is not None))
-    )
+        blocks.append(Table("laws", caption, ("controller", "law", "what it does"), described, 3))
+    promises = [(one.name, promise) for one in scope.controllers for promise in one.specifications]
+    if promises:
+        caption = "Goals of the vehicle file, and what each controller is proved to keep."
+        blocks.append(Table.of("goals", caption, GOALS, promises, words=3))
+    gains = (gain_table(vehicle, one) for one in scope.controllers)
+    return Document(document.title, (*blocks, *(table for table in gains if table is not None)))
+
+
+def _loops(scope: Scope) -> list[Statement]:
+    """Returns statements on the two loops, on unstable ones, on missed goals, and on laws without linear analysis."""
+    statements, vehicle = list[Statement](), scope.vehicle
+    built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
+    if built:
+        text = f"Designs and certificates describe the ideal loop. MuJoCo runs the loop as built: {', '.join(built)}."
+        statements.append(Statement(text, "holds"))
+    for one in scope.controllers:
+        stable, ideal = one in scope.stable, one.certificate.stable
+        if not (stable and ideal):
+            words = "stable ideally and UNSTABLE as built, so only its design and its run are reported"
+            if not ideal:
+                words = "UNSTABLE, so only its run is reported"
+            if stable:
+                words = "stable as built and UNSTABLE as the ideal loop, so it has no ideal norm and no margins"
+            statements.append(Statement(f"The loop of {as_name(one.name)} is {words}.", "holds" if stable else "ends"))
+        if broken := [promise for promise in one.specifications if not promise.holds]:
+            more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
+            text = f"{as_name(one.name)} DOES NOT KEEP the goals of the vehicle file: {broken[0].text}{more}."
+            statements.append(Statement(text, "ends"))
+    studied = [(one.name, f"{text}.") for one in scope.driven for text in study_notes(vehicle, one)]
+    statements += [replace(one, state="holds") for one in statements_on(studied)]
+    if scope.laws:
+        names, kinds = names_text(one.name for one in scope.laws), " or ".join(dict.fromkeys(one.kind for one in scope.laws))
+        text = f"Linear analysis does not apply to {names} ({kinds}), so that there is no norm, bound or margin."
+        statements.append(Statement(text, "holds"))
+    return statements
 
 
 def _row(scope: Scope, one: Controller) -> Row:
@@ -55,27 +84,16 @@ def _with_laws(scope: Scope, table: Table) -> Table:
     return replace(table, rows=(*table.rows, *rows))
 
 
-def _known(scope: Scope) -> str:
-    """Describes the extent to which the requests of nonlinear laws are known."""
-    if all(isinstance(one, SemiActive) for one in scope.laws):
-        return "no linear function of what it measures"
-    return "known only of the measurements that it was called with"
-
-
-def goals_table(controllers: Sequence[Controller]) -> Table | None:
-    """Returns the table of controllers' goals, with the numbers of `python -m synth`, or None without goals."""
-    columns: tuple[Field[tuple[str, Specification]], ...] = (
-        Field("controller", lambda of: of[0]),
-        Field("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
-        Field("unit", lambda of: of[1].unit or "-"),
-        Field("value", lambda of: of[1].value, digits),
-        Field("proved to be at most", lambda of: of[1].proved_text),
-        Field("allowed", lambda of: of[1].at_most, digits),
-        Field("kept", lambda of: "yes" if of[1].holds else "NO"),
-    )
-    promises = [(one.name, promise) for one in controllers for promise in one.specifications]
-    caption = "What controllers keep of the goals that the vehicle file has for them."
-    return Table.of("goals", caption, columns, promises, words=3) if promises else None
+GOALS: tuple[Field[tuple[str, Specification]], ...] = (
+    Field("controller", lambda of: of[0]),
+    Field("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
+    Field("unit", lambda of: of[1].unit or "-"),
+    Field("value", lambda of: of[1].value, digits),
+    Field("proved to be at most", lambda of: of[1].proved_text),
+    Field("allowed", lambda of: of[1].at_most, digits),
+    Field("kept", lambda of: "yes" if of[1].holds else "NO"),
+)
+ENTRY = Field[float]("entry", float, "{:.6g}".format)
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
@@ -87,65 +105,42 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     if not controller.measured:
         return None
     kind, forces, law = vehicle.kind, vehicle.linear_model.inputs, controller.law
+    entries, headings = controller.law.D, [force.replace("_", " ") for force in forces]
+    caption = f"Gain of {as_name(controller.name)}: force per unit of each measured signal."
     if law.states:
         at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]
-        entries = np.stack([np.linalg.norm(law.response(2 * np.pi * f), axis=0) for f in at])
-        headings = [f"{f:g} Hz" for f in at]
-        together = ", of all forces together" if len(vehicle.linear_model.inputs) > 1 else ""
-        caption = (
-            f"The law of controller {as_name(controller.name)}, of {states_text(law)}: the amplitude of the force that it asks "
-            f"for{together}, per unit of each signal that it measures, at some frequencies."
-        )
-    else:
-        entries, headings = controller.gain, [force.replace("_", " ") for force in forces]
-        caption = (
-            f"The gain of controller {as_name(controller.name)}: the force it asks for, per unit of each signal that it measures."
-        )
+        entries, headings = np.stack([np.linalg.norm(law.response(2 * np.pi * f), axis=0) for f in at]), [f"{f:g} Hz" for f in at]
+        together = " of all forces together" if len(forces) > 1 else ""
+        caption = f"Law of {as_name(controller.name)}, {states_text(law)}: force amplitude{together} per unit of each signal."
     rows = tuple(
-        (
-            name.replace("_", " "),
-            per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit),
-            *(f"{entry:.6g}" for entry in row),
-        )
+        (name.replace("_", " "), per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit), *map(ENTRY.digits, row))
         for name, row in zip(controller.measured, entries.T.tolist(), strict=True)
     )
     return Table(f"gain-{controller.name}", caption, ("for each", "unit", *headings), rows, words=2)
 
 
 def per_unit(unit: str, other: str) -> str:
-    """The unit of a quotient: N/m, N·s/m."""
+    """Returns the unit of a quotient: N/m, N·s/m."""
     over, _, under = other.partition("/")
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
 def paper_section(scope: Scope) -> Document:
-    """Does it reproduce the paper?"""
-    values = ours(scope.designer)
-    rows = []
+    """Returns the section on the numbers that the paper prints of its designs, and ours from scratch."""
+    values, rows = ours(scope.designer), []
     for row in PRINTED:
         entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
-        digits = max(0, -math.floor(math.log10(row.digit)))
-        mine = entry_of(values[row.quantity], row.entry)
+        decimals, mine = max(0, -math.floor(math.log10(row.digit))), entry_of(values[row.quantity], row.entry)
         same = round(mine / row.digit) == round(row.value / row.digit)
-        rows.append(
-            (
-                row.equation,
-                f"{row.quantity}{entry}",
-                "same" if same else row.reason,
-                f"{row.value:.{digits}f}",
-                f"{mine:.{digits + 2}f}",
-            )
-        )
-    text = ("Every number that the paper prints of its designs, and ours from scratch, to two digits more.",)
+        numbers = f"{row.value:.{decimals}f}", f"{mine:.{decimals + 2}f}"
+        rows.append((row.equation, f"{row.quantity}{entry}", "same" if same else row.reason, *numbers))
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
-    tables = [
-        Table("paper", "The paper's printed numbers beside ours.", headings, tuple(rows), words=3),
-        without_l(scope.designer),
-    ]
+    caption = "Every number that the paper prints of its designs, and ours to two digits more."
+    tables = [Table("paper", caption, headings, tuple(rows), words=3), without_l(scope.designer)]
     if not scope.quick:
         scope.progress("a genetic algorithm")
         tables.append(other_ways(scope.designer))
-    return Document("Numbers of the paper", (*notes(*text), *tables))
+    return Document("Numbers of the paper", tuple(tables))
 
 
 def without_l(designer: Designer) -> Table:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.document.document import Document, notes
+from models.document.document import Document, Table
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
-from models.document.page import Page
+from models.document.page import VERDICTS, Page
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
@@ -29,18 +29,14 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
         results: every entry with its compared numbers.
         about: time and origin of the page, by name.
     """
-    found = summary(results)
-    sections = tuple(_section(*each) for each in results)
-    wrong = [one for section in sections for one in section.statements if one.state == "fails"]
-    headline, *lead = (one.text for one in found.statements)
+    headline, *said = summary(results).blocks[1:]
+    table = Table("provenance", "Origin of this page.", ("what", "value"), tuple(about.items()), words=2)
     return Page(
         "Published results of suspensions, reproduced or refuted",
-        (*wrong, *notes(*(f"{name}: {text}" for name, text in about.items()))),
-        Document("", found.tables),
-        sections,
-        headline=headline,
-        lead=notes(*lead),
-        verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
+        Document("", (*said, summary(results).tables[0])),
+        (*(_section(*each) for each in results), Document("Provenance", (table,))),
+        headline.text,
+        {**VERDICTS, "holds": "every number is reproduced, or differs for a reason", "fails": "numbers are NOT REPRODUCED"},
     )
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -15,10 +16,8 @@ from models.document.text import joined
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import RoadInput, track_width
-from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
-from sim.report.scope import change_text
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
@@ -55,40 +54,37 @@ class Ride:
     spread: float
     events: str
 
+    @property
+    def share(self) -> float | None:
+        """Returns the spread as a share of the prediction, or None without one."""
+        share = self.spread / self.predicted if self.predicted else math.nan
+        return share if math.isfinite(share) else None
 
-MEASURED, PREDICTED = (
-    Field[Ride]("MuJoCo", lambda one: one.measured, ".4g"),
-    Field[Ride]("predicted", lambda one: one.predicted, ".4g"),
-)
+
+MEASURED = Field[Ride]("MuJoCo", lambda one: one.measured, ".4g")
 LIFTED = Field[float]("lift-off", float, ".2f", 100.0, unit="%")
 IRI, IRI_SPREAD = Field[float]("IRI", float, ".3g"), Field[float]("spread", float, ".2g")
+RIDE: tuple[Field[Ride], ...] = (
+    Field("class", lambda one: one.road_class),
+    Field("controller", lambda one: one.controller),
+    Field("metric", lambda one: one.metric),
+    Field("unit", lambda one: one.unit),
+    MEASURED,
+    Field("predicted", lambda one: one.predicted, ".4g"),
+    Field("road to road", lambda one: one.share, "+-{:.0f} %".format, 100.0),
+    Field("lift-off", lambda one: one.events),
+)
 
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
     """Every controller over every class."""
-    columns: tuple[Field[Ride], ...] = (
-        Field("class", lambda one: one.road_class),
-        Field("controller", lambda one: one.controller),
-        Field("metric", lambda one: one.metric),
-        Field("unit", lambda one: one.unit),
-        MEASURED,
-        PREDICTED,
-        Field("road to road", lambda one: one.spread / one.predicted if one.predicted else None, _spread),
-        Field("lift-off", lambda one: one.events),
-    )
-    roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
     caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m, whatever the vehicle."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
-    rough = Table("roads", caption, headings, roads, detail="full")
-    ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
+    rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
-    caption = "Metrics of the ride in MuJoCo by road class; below, predicted values and lift-off."
-    table = Table.of("ride", caption, columns, ordered, words=4, pivot=pivot)
+    caption = "Metrics of the ride in MuJoCo by road class. The full table adds predicted values and lift-off."
+    table = Table.of("ride", caption, RIDE, sorted(rides, key=lambda one: (one.road_class, one.metric)), words=4, pivot=pivot)
     return Document("Ride over random roads", (*notes(*ride_texts(vehicle)), ride_figure(rides, style), table, rough))
-
-
-def _spread(share: float) -> str:
-    return f"+-{100 * share:.0f} %" if math.isfinite(share) else "-"
 
 
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
@@ -103,28 +99,24 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
     """Every metric over the classes: lines are predicted, points MuJoCo."""
-    by_metric: dict[tuple[str, str], dict[str, list[Ride]]] = {}
-    for one in rides:
-        by_metric.setdefault((one.metric, one.unit), {}).setdefault(one.controller, []).append(one)
     ticks = tuple(float(k) for k in range(len(CLASSES)))
     panels = []
-    for (metric, unit), by_name in by_metric.items():
+    for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
         curves = []
-        for name, some in by_name.items():
-            look = style[name]
+        for name in dict.fromkeys(one.controller for one in rides):
+            look, some = style[name], [one for one in rides if (one.metric, one.controller) == (metric, name)]
             x = np.array([float(CLASSES.index(one.road_class)) for one in some])
-            predicted, measured = (np.array([one.predicted for one in some]), np.array([one.measured for one in some]))
+            predicted, measured = (np.array([get(one) for one in some]) for get in (attrgetter("predicted"), MEASURED.value))
             if np.isfinite(predicted).any():  # not of a law in Python
                 curves.append(Curve(x, predicted, name, look.color, look.dash))
-            curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
+            if some:
+                curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
         label = f"{metric} [{'of the static load' if unit == '-' else unit.replace('s2', 's²')}]"
-        ends = (-0.3, len(CLASSES) - 0.7)
-        panels.append(
-            Panel(metric, "road class", label, tuple(curves), ylog=True, xticks=ticks, xnames=tuple(CLASSES), xlim=ends)
-        )
+        classes = {"xticks": ticks, "xnames": tuple(CLASSES), "xlim": (-0.3, len(CLASSES) - 0.7)}
+        panels.append(Panel(metric, "road class", label, tuple(curves), ylog=True, **classes))
     title = (
-        f"Ride over roads of the classes {CLASSES[0]}, very good, to {CLASSES[-1]}, poor, at {SPEED:g} m/s: lower is better. "
-        f"Lines: predicted from the roads' spectrum. Markers: MuJoCo, {len(SEEDS)} roads each."
+        f"Ride at {SPEED:g} m/s by road class, from {CLASSES[0]} (very good) to {CLASSES[-1]} (poor); lower is better. "
+        f"Lines: predicted from the spectrum. Markers: MuJoCo, {len(SEEDS)} roads each."
     )
     return Figure("ride", title, tuple(panels), min(len(panels), 2 if len(panels) <= 4 else 3), finding=_best_ride(rides))
 
@@ -134,9 +126,8 @@ def _best_ride(rides: Sequence[Ride]) -> str:
     some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
     if len(some) < 2:
         return ""
-    least = min(some, key=lambda one: one.measured)
-    passive = next((one.measured for one in some if one.controller == PASSIVE), math.nan)
-    size = f"{MEASURED.cell(least)} {least.unit}{change_text(least.measured, passive)}"
+    least = min(some, key=MEASURED.value)
+    size = f"{MEASURED.cell(least)} {least.unit}"
     return f"{as_name(least.controller)} has the smallest {least.metric} over roads of class {AVERAGE}: {size}."
 
 
@@ -204,22 +195,15 @@ class OverRoads:
             runs = self._runs(road_class)
             through = np.isinf(self.ended[runs])
             some = {name: each[runs][through] for name, each in self.found.items()}
-            road = self.roads[runs.start]
-            expected = expect(ideal, controller, road.spectrum, self.timestep, WINDOW) if linear else None
+            expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW) if linear else None
             lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():
-                away = bool(self.physics.ran_away[runs].any())
-                broken = "flat, diverged or of an overflowing law" if away else "flat or diverged"
+                broken = f"flat{', diverged or of an overflowing law' if self.physics.ran_away[runs].any() else ' or diverged'}"
                 events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
             for name, unit in metrics:
-                yield Ride(
-                    road_class,
-                    controller.name,
-                    name.replace("_", " "),
-                    unit,
-                    float(np.sqrt(np.mean(some[name] ** 2))) if through.any() else math.nan,
-                    expected.mean[name] if expected else math.nan,
-                    expected.spread.get(name, math.nan) if expected else math.nan,
-                    events,
+                measured = float(np.sqrt(np.mean(some[name] ** 2))) if through.any() else math.nan
+                predicted, spread = (
+                    (expected.mean[name], expected.spread.get(name, math.nan)) if expected else (math.nan, math.nan)
                 )
+                yield Ride(road_class, controller.name, name.replace("_", " "), unit, measured, predicted, spread, events)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from models.common.printed import as_name
 from models.document.field import Field
 from models.document.figure import Style, styles
 from models.roads.load import Load
 from models.roads.road import Bump, Road
-from models.vehicle.limits_and_implementation import Limits, steps_per_sample
-from models.vehicle.names import PASSIVE
+from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import check
@@ -21,25 +19,12 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
+from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
 COARSER = 2.5  # times the report's step, at most that of the map
-LEAST = 1e-4  # relative; a smaller change is below the digits that stand beside it
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
-
-
-@dataclass(frozen=True, eq=False)
-class Exported:
-    """A folder of exported code.
-
-    Attributes:
-        folder: path of the folder.
-        driver: the controller that its code drives.
-    """
-
-    folder: Path
-    driver: AnyController
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +44,7 @@ class Scope:
         laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
-        exported: the folder of exported code that is reported; None without one.
+        exported: the controller that exported code drives, and that is reported; None without one.
         own_road: the road that all is driven over instead of the paper's bump; None for that.
         road_name: name of the road as given.
         duration: duration of the runs over either road [s].
@@ -74,7 +59,7 @@ class Scope:
     laws: tuple[AnyController, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
-    exported: Exported | None = None
+    exported: AnyController | None = None
     own_road: Road | None = None
     road_name: str = ""
     duration: float = BUMP_DURATION
@@ -95,11 +80,6 @@ class Scope:
         return self.road.speed or Bump().speed
 
     @property
-    def stem(self) -> str:
-        """Returns the name of the vehicle file without its ending."""
-        return file_stem(self.vehicle)
-
-    @property
     def driven(self) -> tuple[AnyController, ...]:
         """All that MuJoCo runs."""
         return (*self.controllers, *self.laws)
@@ -109,42 +89,10 @@ class Scope:
         return isinstance(controller, Controller) and controller not in self.stable
 
     @property
-    def kind_of_laws(self) -> str:
-        """Describes a law that linear analysis does not cover."""
-        kinds = {one.kind: None for one in self.laws}
-        return " or ".join(kinds)
-
-    @property
-    def loop_qualifier(self) -> str:
-        """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
-        words = ("all forces given" * bool(self.vehicle.dampers), "curves being their lines at rest" * self.vehicle.is_curved)
-        return "".join(f", {one}" for one in words if one)
-
-    @property
-    def is_nonlinear(self) -> bool:
-        """Returns True if the sampled response does not tend to the linear continuous one: with curves or semi-active dampers."""
-        return self.vehicle.is_curved or bool(self.vehicle.dampers)
-
-    @property
-    def is_ideal(self) -> bool:
-        """Returns True if the vehicle file has neither limits nor an implementation: only the step then separates the loops."""
-        return self.vehicle.limits == Limits() and self.vehicle.implementation.ideal
-
-    @property
-    def blurred(self) -> bool:
-        """Returns True if measurements are noisy or quantised."""
-        return self.vehicle.implementation.has_measurement_noise
-
-    @property
     def noise_qualifier(self) -> str:
         """Returns the noise and quantisation that a linear loop leaves out, after a comma; empty without them."""
-        return f", without its {self.vehicle.implementation.noise_text}" if self.blurred else ""
-
-    @property
-    def implementation_text(self) -> str:
-        """The implemented loop, in words."""
-        words = (*self.vehicle.limits.phrases(self.vehicle.kind.suspensions), *self.vehicle.implementation.phrases)
-        return ", ".join(words) or "neither [limits] nor [implementation]"
+        noise = self.vehicle.implementation.noise_text
+        return f", without its {noise}" if noise else ""
 
     @property
     def prompt(self) -> bool:
@@ -168,7 +116,8 @@ class Scope:
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
-        return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in self.stable}
+        some = [one for one in self.stable if has_sampled_norm(vehicle, one)]
+        return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in some}
 
     @cached_property
     def styles(self) -> dict[str, Style]:
@@ -214,21 +163,3 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
 
 
 NAME = Field[AnyController]("controller", lambda one: one.name)
-
-
-def percents(share: float) -> str:
-    """The size of a change in percent: whole ones, and below them one digit that is not 0."""
-    size = abs(100 * share)
-    return f"{size:.0f}" if size >= 1 else f"{size:.1g}"
-
-
-def change(value: float | None, passive: float | None) -> str:
-    """Returns the change from passive, as in −22 %; empty if a number is missing, passive's is zero, or both are equal."""
-    share = value / passive - 1 if value is not None and passive else math.nan
-    return f"{'+' if share > 0 else '−'}{percents(share)} %" if LEAST <= abs(share) < math.inf else ""
-
-
-def change_text(value: float, passive: float) -> str:
-    """Returns the change from passive in brackets, for a sentence; empty without one."""
-    text = change(value, passive)
-    return f" ({text} from {as_name(PASSIVE)})" if text else ""

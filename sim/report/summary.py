@@ -1,4 +1,4 @@
-"""First screen of a report: requirements, comparison of controllers; and the table of claims and their checks."""
+"""First screen of a report: requirements and comparison of controllers; and the table of claims and their checks."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,17 +10,19 @@ from models.document.document import Document, Table
 from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
 from models.document.reading import Pivot
+from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
-from sim.report.best import DIVE, NORM
-from sim.report.headline import unclaimed
-from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
-from sim.report.scope import NAME, Scope, change
+from sim.report.ride import AVERAGE, SEEDS, SPEED
+from sim.report.scope import NAME, Scope
 from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
 from sim.runs.report import verdict
 from sim.runs.run import Run
+from sim.runs.steps import WHEN
 from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standing, best, compared_table, headline
 from sim.studies.validity.regime_end import RegimeEnd
+from sim.studies.validity.report import FOUND, OneEnd
 from synth.controller.controller import Controller
+from synth.controller.report import NORM
 
 PANELS = {  # of the first figure
     RIDE: "Acceleration of the body",
@@ -28,45 +30,43 @@ PANELS = {  # of the first figure
     LOAD: "Change of the tyre load",
     FORCE: "Largest force",
 }
-UNTIL = Field[float]("linear until", float, ".3g", unit="s")
-HEIGHT = Field[float]("height", float, ".3g", unit="m")
+GOAL = Field[float]("value", float, ".4g")
 
 
 def first_screen(
     scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
 ) -> Document:
-    """Returns what is seen first: requirements where there are some, who is best at what, and the same as bars.
+    """Returns what is seen first: requirements if there are some, the comparison of controllers, and the same as bars.
 
     Args:
         compared: the controllers' standings, over the roads of `compared_on`.
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """
-    wanted = requirements_table(scope, runs)
-    dives: tuple[Field[Standing], ...] = (DIVE.of(lambda one: dive.get(one.controller)),) if dive else ()
-    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, where, dives))
-    return Document("", (*tables, compared_figure(scope, compared, dives, where)))
+    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), ".2g", unit="deg")] if dive else []
+    table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
+    return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table)))
 
 
-def compared_figure(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], where: str) -> Figure:
-    """Returns bars of ride, travel, tyre load, force and dive of every controller in MuJoCo."""
+def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table) -> Figure:
+    """Returns bars of ride, travel, tyre load, force and dive of every controller, with changes as in the table."""
     names = tuple(one.controller for one in compared)
-    look = {**styles((PASSIVE,)), **scope.styles}
-    colors, marked = tuple(look[name].color for name in names), best(compared)
-    passive = next((one for one in compared if one.controller == PASSIVE), None)
-    panels = []
+    look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
+    columns, panels = dict(zip(table.headings, zip(*table.rows, strict=True), strict=True)), []
     for quantity, title in {**PANELS, **dict.fromkeys(dives, "Dive under 0.5 g of braking")}.items():
         values = [quantity.value(one) for one in compared]
-        if not any(values):
-            continue
-        usual = quantity.value(passive) if passive is not None and quantity in CHANGES else None
-        words = tuple(
-            f"{quantity.cell(one)} {change(value, usual)}".rstrip() + " ★" * (one.controller in marked.get(quantity.key, ()))
-            for one, value in zip(compared, values, strict=True)
-        )
-        lengths = quantity.scale * np.array([math.nan if value is None else value for value in values])
-        panels.append(Panel(title, quantity.title, "", (), Bars(names, lengths, words, colors)))
-    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are changes from {as_name(PASSIVE)}."
+        if any(values):
+            changes = columns.get(f"{CHANGES.get(quantity)}{CHANGE}", ("-",) * len(names))
+            stars = (" ★" * (name in marked.get(quantity.key, ())) for name in names)
+            words = tuple(
+                f"{quantity.cell(one)}{f' {change} %'.replace('-', '−') if change != '-' else ''}{star}"
+                for one, change, star in zip(compared, changes, stars, strict=True)
+            )
+            lengths = quantity.scale * np.array([math.nan if value is None else value for value in values])
+            panels.append(
+                Panel(title, quantity.title, "", (), Bars(names, lengths, words, tuple(look[name].color for name in names)))
+            )
+    title = f"Shorter bars are better, ★ is the best. Percentages are changes from {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
 
 
@@ -77,41 +77,48 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
     """
     rows = []
     for one in scope.controllers:
-        for goal in one.specifications:
-            if goal.at_most is not None:
-                value = Field[float]("value", float, ".4g", unit=goal.unit)
-                what = f"{goal.what.replace('_', ' ')}, at most {goal.at_most:.6g} {goal.unit}".rstrip()
-                rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {value.text(goal.value)}"))
+        for goal in (goal for goal in one.specifications if goal.at_most is not None):
+            what = f"{goal.what.replace('_', ' ')}, at most {goal.at_most:.6g} {goal.unit}".rstrip()
+            rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {GOAL.digits(goal.value)} {goal.unit}".rstrip()))
     road = "road" if scope.own_road is not None else "bump"
     for run in runs:
         ended = reached(scope.vehicle, run.physics)
         for end in (one for one in (BUMP_STOP, SATURATION) if one.thresholds(scope.vehicle)):
             when = float(ended[REGIME_ENDS.index(end)])
-            kept = "✓ not reached" if math.isinf(when) else f"✗ at {UNTIL.text(when)}"
+            kept = "✓ not reached" if math.isinf(when) else f"✗ at {WHEN.text(when)}"
             rows.append((f"{end.name}, not over the {road}", run.controller.name, kept))
     caption = "Requirements of the vehicle file, met (✓) or not met (✗). A goal is met if the proved value is within it."
     pivot = Pivot(("requirement",), "controller", ("result",))
     return Table("requirements", caption, ("requirement", "controller", "result"), tuple(rows), 2, pivot) if rows else None
 
 
-def trust_section(
-    scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
-) -> Document:
-    """Returns the section on the claims about every controller, and up to which bump they are true."""
-    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
-    roughness, label, unit = _roughness(scope, runs, rides)
-    wrong, neither = unclaimed(ends, runs), (None, None)
-    stated = {one.name: "at any height" if end is None else _height(end) for one, end in ends}
-    stated |= dict.fromkeys(wrong, "none claimed")
+@np.errstate(over="ignore")  # an unstable loop's squares overflow
+def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
+    """Returns the section on the claims about every controller, and up to which bump they are true.
+
+    Args:
+        wrong: names of the controllers without a claimed height, as their runs do not agree.
+    """
+    vehicle = scope.vehicle
+    certificates = {one.name: one.certificate for one in scope.controllers if one.certificate.stable}
+    heights = {one.name: _height(end) if end else "at any height" for one, end in ends} | dict.fromkeys(wrong, "none claimed")
+    name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
+    label, unit = name.replace("_", " "), vehicle.kind.signal(name).unit.replace("s2", "s²")
+
+    def linear(run: Run) -> float | None:
+        return (
+            None if scope.unstable(run.controller) or not isinstance(run.controller, Controller) else float(run.sampled.rms(name))
+        )
+
     columns: tuple[Field[Run], ...] = (
         NAME.of(lambda run: run.controller),
-        NORM.of(lambda run: norms.get(run.controller.name)),
-        Field(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
-        Field("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
-        Field(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
+        NORM.of(lambda run: certificates.get(run.controller.name), "H-infinity norm"),
+        Field(f"{label}, rms [{unit}], predicted", linear, ".3g"),
+        Field("in MuJoCo", lambda run: None if scope.unstable(run.controller) else float(run.physics.rms(name)), ".3g"),
+        Field(f"analysis true up to{scope.noise_qualifier}", lambda run: heights.get(run.controller.name, "-")),
         Field(f"over {scope.where}", lambda run: verdict(run).text),
     )
-    caption = "Predicted and simulated ride of each controller, and the height of the bump up to which analysis is true."
+    caption = f"{label.capitalize()} over {scope.where}, and the bump height up to which linear analysis is valid."
     return Document("Verification", (Table.of("summary", caption, columns, runs),))
 
 
@@ -124,27 +131,6 @@ def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: s
     return f"MuJoCo, {where}{absent}"
 
 
-def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str]:
-    """Returns the body's acceleration with stable loops, predicted and in MuJoCo: of the ride if there is one, else over the
-    bump.
-    """
-    if rides:
-        metric, unit = rides[0].metric, rides[0].unit
-        some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, metric)]
-        return {one.controller: (one.predicted, one.measured) for one in some}, metric, unit.replace("s2", "s²")
-    vehicle = scope.vehicle
-    name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
-    values = {
-        run.controller.name: (
-            float(run.sampled.rms(name)) if isinstance(run.controller, Controller) else math.nan,
-            float(run.physics.rms(name)),
-        )
-        for run in runs
-        if not scope.unstable(run.controller)
-    }
-    return values, f"{name.replace('_', ' ')}, rms", vehicle.kind.signal(name).unit.replace("s2", "s²")
-
-
 def _height(end: RegimeEnd) -> str:
     """Returns the height at which a linear regime ends in MuJoCo, with a remark if it is not the predicted one."""
-    return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"
+    return FOUND.text(end.found) if end.confirmed else f"NOT as predicted, {FOUND.text(end.predicted)}"

@@ -166,7 +166,7 @@ FLAT = End(  # no model of the vehicle holds from there
     "flat tyre",
     "",
     "",
-    "#555555",
+    "#8c8c8c",
     ("Cross", (20, 20, 20)),
     _flat,
 )

@@ -10,7 +10,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import at_the_door, check_fields
 from models.common.errors import InputError, listing, quoted
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.kinds.signals import Signal, is_kept
 from models.vehicle.vehicle import Vehicle
 
@@ -48,13 +49,12 @@ class Response(Shown):
             raise InputError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns samples and runs, and the signals with their units, as text."""
+    def shown(self) -> Document:
+        """Returns samples and runs, and the signals with their units, as a document."""
         times = f", {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         runs = f", {' x '.join(map(str, self.values.shape[:-2]))} runs" if self.values.ndim > 2 else ""
-        return f"response: {len(self.time)} samples{times}{runs}", {
-            "signals": ", ".join(f"{signal.name} [{signal.unit}]" for signal in self.signals)
-        }
+        signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in self.signals)
+        return facts(f"response: {len(self.time)} samples{times}{runs}", {"signals": signals})
 
     @cached_property
     def names(self) -> tuple[str, ...]:

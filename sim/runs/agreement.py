@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import roundings
@@ -101,18 +102,18 @@ class Agreement(Shown):
     coarse: bool = False
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
-        return f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals
+        return facts(f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 
     @property
     def agrees(self) -> bool:
         """Returns True if every step and every command is right, as far as they are known, and nothing contradicts them."""
-        coded = self.code_effect is None or self.code_effect.holds
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
-        return checked and self.step_by_step and self.commanded and coded and self.follows_linear
+        checks = (self.steps, self.commands, self.code_effect)
+        return checked and self.follows_linear and all(one is None or one.agrees for one in checks)
 
     @property
     def follows_linear(self) -> bool:
@@ -123,16 +124,6 @@ class Agreement(Shown):
     def lost(self) -> bool:
         """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
         return self.steps is not None and self.steps.lost and self.steps.until == self.until
-
-    @property
-    def step_by_step(self) -> bool:
-        """Returns False if a step differs from the vehicle's exact equations, else True."""
-        return self.steps is None or self.steps.agrees
-
-    @property
-    def commanded(self) -> bool:
-        """Returns False if a command differs from the control law, else True."""
-        return self.commands is None or self.commands.agrees
 
 
 def compare(prediction: Prediction, physics: Response, commanded: Commanded | None = None) -> Agreement:
@@ -145,7 +136,8 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
-    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), first_loose(road, physics), diverged)
+    loose = first_loose(road, physics)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     if prediction.is_linear:
         foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
@@ -156,7 +148,10 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     rounding, steps, commands = roundings(vehicle, controller), None, None
     if commanded is not None:
         if (motion := motion_of(vehicle)) is not None:
-            steps = compare_steps(motion, road, physics, commanded, steps_end(road, physics, ended), rounding)
+            end = min(ended[FLAT.name], diverged)
+            if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
+                end = min(end, ended[LIFT_OFF.name], loose)
+            steps = compare_steps(motion, road, physics, commanded, end, rounding)
             if steps.lost:
                 until = min(until, steps.until)
         if not prediction.replayed:
@@ -182,15 +177,6 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         code_effect=prediction.code_effect,
         coarse=coarse,
     )
-
-
-def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) -> float:
-    """Returns the time [s] before which single steps are compared: until a tyre is flat, or the run diverges.
-
-    A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
-    """
-    end = min(ended[FLAT.name], physics.diverged)
-    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], first_loose(road, physics))
 
 
 def to_first_order(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:

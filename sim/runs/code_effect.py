@@ -40,7 +40,7 @@ class CodeEffect:
     clipped: tuple[str, ...]
 
     @property
-    def holds(self) -> bool:
+    def agrees(self) -> bool:
         """Returns True if the law's run agrees, and the code's run is close to that of the law."""
         return self.law_agrees and self.share <= MOST
 

@@ -1,8 +1,7 @@
 """Adjustable dampers in a run: the requested force that they did not give."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,8 +53,3 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
             kept = float(np.sqrt(np.mean((requested - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
         by_force[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
     return by_force
-
-
-def dampers_object(vehicle: Vehicle, physics: Response) -> dict[str, Any]:
-    """Returns the results of a run's adjustable dampers as a JSON object."""
-    return {"shortfall": {name: asdict(one) for name, one in shortfalls(vehicle, physics).items()}}

@@ -93,6 +93,11 @@ class Prediction:
         return bool({*how.noise, *how.quantisation} & {*self.controller.measured})
 
     @property
+    def varies(self) -> bool:
+        """Returns True if its controller answers differently at another step: by noise, quantisation or rounding."""
+        return self.is_blurred or bool(self.rounding_text)
+
+    @property
     def rounding_text(self) -> str:
         """Returns the numbers to which exported code rounds; empty without code, or in double."""
         code = code_of(self.controller)
@@ -119,49 +124,32 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     )
 
 
-def predict_forced(controller: Programmed, road: RoadInput, commands: Array) -> Prediction:
-    """Returns the predicted responses to the commands of a law in Python in a run from rest.
-
-    Args:
-        commands: forces [N], shape (T, m), or with adjustable dampers commands, shape (T, 2 m).
-    """
-    if not _has_response(road.vehicle, controller):
-        return unpredicted(controller, road, commands)
-    from sim.linear.forced_response import forced_continuous_response, forced_response
-
-    sampled, integrated = forced_response(commands, road), forced_response(commands, road, taylor4)
-    continuous = forced_continuous_response(commands, road)
-    return Prediction(road, controller, sampled, integrated, continuous, requested_force=commands)
-
-
-def unpredicted(controller: AnyController, road: RoadInput, commands: Array | None = None) -> Prediction:
-    """Returns the prediction of a run that is not linear, since its controller sets adjustable dampers: there is no response.
-
-    A linear law has the continuous response that it would have if all its forces were given.
-    """
-    signals = road.vehicle.kind.signals
-    nothing = Response(road.time, signals, np.full((len(road.time), len(signals)), np.nan))
-    continuous = nothing
-    if isinstance(controller, Controller):
-        continuous = continuous_response(LoopModel(road.vehicle, controller, road.timestep), road)
-        states = continuous.signals[len(signals) :]
-        nothing = nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
-    requested = np.zeros((0, 0)) if commands is None else commands
-    return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
-
-
 def predicted(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
     """Returns the prediction of one run from rest, whatever its controller.
+
+    For a law in Python it has the responses to the commands. A run whose controller sets adjustable dampers is not linear, and
+    has no response; a linear law then has the continuous response that it would have if all its forces were given.
 
     Args:
         commands: commands of the actuators in the run, see `sim.physics.actuators`, shape (T, m) or (T, 2 m).
         most_states: see `predict`.
     """
-    if isinstance(controller, Programmed):
-        return predict_forced(controller, road, commands)
-    if isinstance(controller, Controller) and _has_response(road.vehicle, controller):
+    requested = commands if isinstance(controller, Programmed) else np.zeros((0, 0))
+    if not _has_response(road.vehicle, controller):
+        signals = road.vehicle.kind.signals
+        nothing = continuous = Response(road.time, signals, np.full((len(road.time), len(signals)), np.nan))
+        if isinstance(controller, Controller):
+            continuous = continuous_response(LoopModel(road.vehicle, controller, road.timestep), road)
+            states = continuous.signals[len(signals) :]
+            nothing = nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
+        return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
+    if isinstance(controller, Controller):
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
-    return unpredicted(controller, road)
+    from sim.linear.forced_response import forced_continuous_response, forced_response
+
+    sampled, integrated = forced_response(commands, road), forced_response(commands, road, taylor4)
+    continuous = forced_continuous_response(commands, road)
+    return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:

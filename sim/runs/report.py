@@ -33,10 +33,12 @@ from sim.response.regime import (
     broken_by,
     departures,
 )
+from sim.response.response import Response
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
-from sim.runs.result import Reference, RunResult
+from sim.runs.result import RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
+from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController, Controller, has_anti_windup
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
@@ -50,6 +52,7 @@ from synth.controller.report import (
     ideal_lines,
     norm_if_implemented,
     notes_on_sampled_loop,
+    study_notes,
 )
 from synth.controller.report import notes as controller_remarks
 
@@ -97,10 +100,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
                 "unit": run.vehicle.kind.signal(name).unit,
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {
-                    "sampled": finite(signal.sampled),
-                    "continuous": finite(signal.continuous),
-                },
+                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
             }
             for name, signal in agreement.signals.items()
         },
@@ -110,7 +110,8 @@ def run_object(run: RunResult) -> dict[str, Any]:
         "steps": _check_object(agreement.steps, "error", "allowed", "since", "until"),
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
-        **_parts_object(run),
+        **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
+        **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **code_object(run.prediction.code_effect),
         **({"margins": law_margins(run.vehicle, run.controller).record} if isinstance(run.controller, Controller) else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
@@ -123,18 +124,11 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
     return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
 
 
-def _parts_object(run: RunResult) -> dict[str, Any]:
-    """Returns the results of bump stops and semi-active dampers, each under its own key; empty without such parts."""
-    parts = {}
-    if run.vehicle.limits.stopped:
-        from sim.runs.stops import stops_object
+def _dampers_object(run: RunResult) -> dict[str, Any]:
+    """Returns the force that semi-active dampers did not give as a JSON object."""
+    from sim.runs.dampers import shortfalls
 
-        parts["stops"] = stops_object(run)
-    if run.vehicle.dampers:
-        from sim.runs.dampers import dampers_object
-
-        parts["dampers"] = dampers_object(run.vehicle, run.physics)
-    return parts
+    return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
 
 
 def half_step_object(run: RunResult) -> dict[str, Any] | None:
@@ -191,6 +185,8 @@ def claims(controller: AnyController) -> str:
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
+    if math.isinf(certificate.norm.value):
+        return "no finite norm"
     where = f" at {PEAK.text(certificate.norm.peak_frequency)}" if math.isfinite(certificate.norm.peak_frequency) else ""
     bound = f", bound {BOUND.cell(certificate)}" if certificate.bound is not None else ""
     return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
@@ -207,7 +203,7 @@ def verdict(run: RunResult) -> Statement:
         words.append(f"DOES NOT AGREE step by step from {WHEN.text(steps.since)} on ({steps.signal})")
     if commands is not None and not commands.agrees:
         words.append(f"COMMANDS ARE NOT THE LAW'S from {WHEN.text(commands.since)} on ({commands.signal})")
-    if code is not None and not code.holds:
+    if code is not None and not code.agrees:
         words.append("DOES NOT AGREE with the law of its code")
     if not agreement.follows_linear:
         words.append(f"DOES NOT AGREE with linear analysis {_when(run)}")
@@ -236,8 +232,6 @@ def _when(run: RunResult) -> str:
         return "throughout"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
-        from sim.runs.stops import stop_names
-
         ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
@@ -286,17 +280,11 @@ def reasons(run: RunResult) -> tuple[Statement, ...]:
     Those of a run that passes, and stays in its range, are details.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
-    stops, said = "", [*notes(*_events(run))]
-    if run.vehicle.limits.stopped:
-        from sim.runs.stops import stop_note
-
-        stops = stop_note(run)
-    if run.vehicle.dampers:
-        said += _damper_notes(run)
+    said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
     if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
-    return (*notes(*filter(None, [stops])), *(replace(one, detail=detail) for one in said))
+    return (*notes(*filter(None, [stop_note(run)])), *(replace(one, detail=detail) for one in said))
 
 
 def _events(run: RunResult) -> Iterator[str]:
@@ -324,8 +312,6 @@ def _events(run: RunResult) -> Iterator[str]:
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
-        from sim.runs.stops import stop_names
-
         said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
     yield from (line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
@@ -343,7 +329,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     """Returns how often tyres leave the ground, the first such interval, and the longest time."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
-    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest takes {longest}"
+    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:
@@ -424,17 +410,20 @@ def _balance(run: RunResult) -> Iterator[Statement]:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are "-"
-def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -> Document:
+def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     """Returns a run as a document: its verdict, its controller's claims, its signals, and the reasons of the verdict.
 
     Args:
-        passive: run of the passive vehicle, with which the signals are compared.
+        passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
     margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
     warning = (margins.instability or margins.small) if margins is not None else ""
-    first = [claims(controller), *filter(None, [warning]), *code_notes(code, run.vehicle)]
-    others = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    studied = study_notes(run.vehicle, controller)
+    claimed = [] if len(studied) > 1 else [claims(controller)]
+    first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
+    every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
+    others = [text for text in every if not any(one.startswith(text) for one in first)]
     ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(
@@ -449,13 +438,14 @@ def describe_run(run: RunResult, passive: RunResult | Reference | None = None) -
     )
 
 
-def signal_table(run: RunResult, passive: RunResult | Reference | None) -> Table:
+def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
-    rows = []
+    rows, on = [], run.prediction.input
+    still = not on.heights.any() and not on.held.any()  # all that moves on a flat road is rounding
     for name, signal in run.agreement.signals.items():
-        was = None if passive is None else passive.physics
-        if passive is not None and (passive.physics.peak(name) < passive.physics.scale(name) or not passive.sampled.peak(name)):
-            was = None  # a signal that symmetry or a flat road keeps at zero is rounding
+        was = None if still else passive
+        if was is not None and was.peak(name) < was.scale(name):
+            was = None  # a signal that symmetry keeps at zero is rounding
         for kind, sizes in (("peak", SIZES[:3]), ("rms", SIZES[3:])):
             numbers = ["-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in sizes]
             apart = [DIFFERENCE.digits(one) if kind == "peak" else "" for one in (signal.sampled, signal.continuous)]
@@ -476,11 +466,11 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:
-            texts.append(f"{names[force]} misses {percent(one.late)} (rms) of the requested force, including its valve's lag")
+            texts.append(f"{names[force]}: with its valve's lag, {percent(one.late)} (rms) of the requested force is missing")
         if one.time:
             texts.append(
-                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; it cannot give "
-                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
+                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; at "
+                f"{percent(one.time)} of the samples, force is missing, {percent(one.rms)} (rms) of the requested one"
             )
     if most > HALF and isinstance(run.controller, Controller):
         text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"

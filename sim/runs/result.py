@@ -2,19 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-
-import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import Road, RoadInput
+from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
 from sim.runs.agreement import Agreement
-from sim.runs.prediction import Prediction, predicted
-from synth.controller.controller import AnyController, Controller
+from sim.runs.prediction import Prediction
+from synth.controller.controller import AnyController
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,8 @@ class RunResult:
         prediction: linear analysis of this vehicle, controller and road.
         physics: the response in MuJoCo.
         agreement: physics against analysis.
-        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
-        energy: energy balance, or None for such a run.
+        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run without its energy balance.
+        energy: energy balance, or None.
         half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
             noisy or quantised, which differs at other steps.
     """
@@ -99,24 +96,3 @@ class RunResult:
     def passed(self) -> bool:
         """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
         return self.agrees and (self.energy is None or not self.energy.fails)
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Run of a linear controller for comparison in tables, without a verdict.
-
-    Attributes:
-        physics: response in MuJoCo.
-        controller: the controller.
-        input: the vehicle and its road.
-    """
-
-    physics: Response
-    controller: Controller
-    input: RoadInput
-
-    @cached_property
-    @np.errstate(over="ignore", invalid="ignore")
-    def sampled(self) -> Response:
-        """The exact linear response of the sampled loop."""
-        return predicted(self.controller, self.input, np.zeros((0, 0))).sampled

@@ -1,4 +1,4 @@
-"""Runs of some controllers of one vehicle over one road: physics, linear predictions, verdicts, and their view in a notebook."""
+"""Runs of some controllers of one vehicle over one road: physics, linear predictions and verdicts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,10 +9,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import Shown, html_table
+from models.document.document import Block, Document
+from models.document.figure import BLUE, Figure, Style
+from models.document.text import Shown, facts
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
 from sim.physics.energy import energy
@@ -23,7 +26,7 @@ from sim.runs.agreement import SMALL, compare, to_first_order
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
 from sim.runs.report import signal_table, verdict
-from sim.runs.result import HalfStep, Reference, RunResult
+from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller, code_of
 
 if TYPE_CHECKING:
@@ -39,22 +42,23 @@ class Run(RunResult, Shown):
     """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns the verdict, and the vehicle, road and times as text."""
-        return f"run of {self.controller.name}: {verdict(self).text}", {
+        rows = {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
             "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
         }
+        return facts(f"run of {self.controller.name}: {verdict(self).text}", rows)
 
-    def _repr_html_(self) -> str:
-        from models.document.figure import Style
-        from models.document.notebook import BLUE, notebook_figure
+    @property
+    def drawn(self) -> tuple[Block, ...]:
+        """The sizes of all signals, and the first weighted one over time."""
         from sim.runs.time_histories import history_panels
 
-        table, look = signal_table(self, None), {self.controller.name: Style(BLUE, "solid", "o")}
-        drawn = (replace(one, title=f"{one.title}; lines: sampled, markers: MuJoCo") for one in history_panels([self], look)[:1])
-        return super()._repr_html_() + html_table("signals", [table.headings, *table.rows]) + "".join(map(notebook_figure, drawn))
+        panels = history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
+        figure = Figure("run", "Line: sampled response. Markers: MuJoCo.", tuple(panels), columns=1)
+        return (signal_table(self), *([figure] if panels else []))
 
 
 def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
@@ -120,10 +124,10 @@ def run_controllers(
     return with_energy_balance(runs, physics) if balanced else runs
 
 
-def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
-    """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
-    on = RoadInput(vehicle, road, time)
-    return Reference(simulate([controller], [on]).run(0), controller, on)
+def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
+    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
+    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
+    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
 
 
 def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:
@@ -145,16 +149,16 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
     if unknown:
-        made = _simulated([runs[i].prediction for i in unknown], runs[0].prediction.time, _without_noise, SMALL)
+        made = _simulated(
+            [runs[i].prediction for i in unknown],
+            runs[0].prediction.time,
+            lambda one: replace(one, implementation=one.implementation.without_noise),
+            SMALL,
+        )
         for k, i in enumerate(unknown):
             agreement = to_first_order(runs[i].agreement, runs[i].prediction, made.run(k))
             runs[i] = replace(runs[i], agreement=agreement)
     return runs
-
-
-def _without_noise(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle without noise and quantisation, which have no height."""
-    return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
 
 def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) -> Sequence[Prediction]:
@@ -185,7 +189,7 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
         replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
-    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not _has_noise(run)]
+    lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.prediction.varies]
     doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful]
     if halved := sorted({*lifted, *doubtful}):
         timestep = runs[0].prediction.timestep
@@ -200,11 +204,6 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
             half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
-
-
-def _has_noise(run: Run) -> bool:
-    """Returns True if its controller measures with noise or quantisation, or its code rounds, which differs at other steps."""
-    return run.prediction.is_blurred or bool(run.prediction.rounding_text)
 
 
 def _simulated(
@@ -228,8 +227,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: factor on the forces of a law in Python.
     """
-    noisy = prediction.is_blurred or bool(prediction.rounding_text)
-    if not isinstance(prediction.controller, Programmed) and (share != 1 or not noisy):
+    if not isinstance(prediction.controller, Programmed) and (share != 1 or not prediction.varies):
         return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
     from sim.physics.driver import RecordedForces

@@ -6,7 +6,6 @@ a vehicle without control arrives from it, less the steady motion, dies away wit
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -17,6 +16,7 @@ from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
 from sim.runs.result import RunResult
+from sim.runs.steps import WHEN
 from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
@@ -24,24 +24,11 @@ SAID = 0.02  # of a peak
 ROUNDED = 1e3  # times the effect of rounding on a state or a signal: less is none
 
 
-@dataclass(frozen=True)
-class StartEffect:
-    """Largest effect of the start on a peak.
+def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
+    """Returns the largest effect of the start on a peak of a weighted signal, as a share of the peak, and that peak in words.
 
-    Attributes:
-        share: effect as a share of the peak.
-        controller, signal: controller and signal of the peak.
-        time: time of the peak [s].
+    None if it does not exceed 2 %.
     """
-
-    share: float
-    controller: str
-    signal: str
-    time: float
-
-
-def start_effect(runs: Sequence[RunResult]) -> StartEffect | None:
-    """Returns the largest effect of the start on a peak of a weighted signal, if it exceeds 2 %; None otherwise."""
     felt, vehicle = runs[0].prediction.input.felt, runs[0].vehicle
     road = felt.road if isinstance(felt, Departure) else None
     turned = road.turned(RUN_IN * road.speed) if isinstance(road, Profile) else None
@@ -56,7 +43,7 @@ def start_effect(runs: Sequence[RunResult]) -> StartEffect | None:
     apart = np.array([before[name][-1] - steady[0, names.index(name)] for name in model.states])
     rounding = roundings(vehicle, None)
     apart[np.abs(apart) <= ROUNDED * np.array([rounding[name] for name in model.states])] = 0.0
-    effects = [StartEffect(0.0, "", "", 0.0)]
+    effects = [(0.0, "")]
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
@@ -69,9 +56,9 @@ def start_effect(runs: Sequence[RunResult]) -> StartEffect | None:
             k = int(np.abs(physics[signal]).argmax())
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
             if (peak := float(physics.peak(signal))) > ROUNDED * least[signal]:  # else it is rounding, as in a motionless run
-                effects.append(StartEffect(left / peak, run.controller.name, signal, k * h))
-    worst = max(effects, key=lambda effect: effect.share)
-    return worst if worst.share > SAID else None
+                effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
+    worst = max(effects)
+    return worst if worst[0] > SAID else None
 
 
 def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
@@ -83,8 +70,8 @@ def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
     effect = start_effect(runs)
     if effect is None:
         return []
-    peak = f"the peak of {effect.controller}'s {effect.signal} at {effect.time:.3g} s"
+    share, peak = effect
     return wrapped(
-        f"remark: the road before the start is unknown, and may have changed {peak} by {percent(effect.share)}; "
+        f"remark: the road before the start is unknown, and may have changed {peak} by {percent(share)}; "
         f"start {'earlier or ' if later else ''}elsewhere with --from"
     )

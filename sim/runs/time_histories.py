@@ -12,6 +12,7 @@ from models.document.figure import Curve, Figure, Panel, Style, margined, styles
 from models.kinds.signals import Signal
 from sim.response.response import Response
 from sim.runs.result import RunResult
+from sim.runs.steps import WHEN
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
@@ -132,9 +133,9 @@ def history_panels(
             for curve in trace.curves(looks[trace.run.controller.name], DENSE if dense else LINE, every, at)
         ]
         title = f"{words}, {signal.symbol}"
-        title += f", from {start:.4g} to {end:.4g} s" if during else ""
+        title += f", from {WHEN.digits(start)} to {WHEN.text(end)}" if during else ""
         gone = sorted((at, trace.run.controller.name) for trace, at in zip(traces, left, strict=True) if at < math.inf)
-        named = ", ".join(f"{as_name(who)} at {at:.3g} s" for at, who in gone[:NAMED])
+        named = ", ".join(f"{as_name(who)} at {WHEN.text(at)}" for at, who in gone[:NAMED])
         more = f" and {len(gone) - NAMED} more" if len(gone) > NAMED else ""
         title += f"\nleaves the axis: {named}{more}" if gone and not during else ""
         panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(low, high)))
@@ -195,9 +196,9 @@ def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     if (during := _hardest_stretch(runs)) is not None:
         near = history_panels(runs, looks, during)
         panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
-        note = f". Each signal over all of the run, then from {during[0]:.4g} to {during[1]:.4g} s"
+        note = f". Each signal over all of the run, then from {WHEN.digits(during[0])} to {WHEN.text(during[1])}"
     broken = [
-        f"{as_name(run.controller.name)} broke off at {off[1]:.3g} s ({off[0]})"
+        f"{as_name(run.controller.name)} broke off at {WHEN.text(off[1])} ({off[0]})"
         for run in runs
         if (off := run.broke_off) is not None
     ]

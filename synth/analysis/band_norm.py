@@ -16,6 +16,7 @@ import numpy as np
 
 from models.common.errors import InputError, quoted
 from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
+from synth.analysis.specification import digits, rate_digits
 from synth.analysis.stability import Stability, stability
 from synth.plant.discrete import continuous_loop, mapped_frequency, true_frequency
 from synth.plant.generalized import GeneralizedPlant
@@ -49,10 +50,10 @@ class BandNorm:
     @property
     def words(self) -> str:
         """The norm in the band on one line."""
-        band = f"{self.low / (2 * np.pi):.4g} to {self.high / (2 * np.pi):.4g} Hz"
+        band = f"{rate_digits(self.low / (2 * np.pi))} to {rate_digits(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
-            return f"infinite from {band}: a pole at {self.peak_frequency:.4g} rad/s, to rounding, does not decay"
-        text = f"at most {self.value:.7g} from {band}, reached at {self.peak_frequency:.5g} rad/s"
+            return f"infinite from {band}: a pole at {rate_digits(self.peak_frequency)} rad/s, to rounding, does not decay"
+        text = f"at most {digits(self.value)} from {band}, reached at {self.peak_frequency:.5g} rad/s"
         return text if self.stability.stable else f"{text}, but no sinusoid settles in this loop: {self.stability.words}"
 
 

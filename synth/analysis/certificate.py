@@ -34,10 +34,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
+from synth.analysis.specification import digits, rounding_digits
 from synth.analysis.stability import Stability, balance, beside_weights, stability
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_states
 from synth.plant.numerics import numerics
@@ -154,7 +157,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
         return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
     if definiteness.smallest <= 0:
         return f"{false}: balanced, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
-    needed = f"{'above' if sign > 0 else 'below'} {sign * definiteness.rounding:.0e}"
+    needed = f"{'above' if sign > 0 else 'below'} {rounding_digits(sign * definiteness.rounding)}"
     smallest = f"{sign * definiteness.smallest:.1e}"
     return f"{open_}: balanced, its {which} eigenvalue is {smallest}, and must be {needed} to be beyond rounding"
 
@@ -189,26 +192,25 @@ class Certificate(Shown):
     below: LowerBound | None = None
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Norm, bound and lower bound, and the claims that fail."""
-        known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
-        rows = {name: f"{value:.7g}" for name, value in known.items() if value is not None}
-        return f"certificate: {'FAILS' if self.failures else 'holds'}", rows | (
-            {"failures": "; ".join(self.failures)} if self.failures else {}
-        )
-
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.figure
+        return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
-    def figure(self) -> str:
-        """The gain of the closed loop over frequency, with bound and lower bound, as HTML for a notebook."""
-        from models.document.notebook import gain_curve, gain_panel, notebook_figure
+    def claims(self) -> dict[str, str]:
+        """Norm, bound and lower bound, and the claims that fail, as text; empty if absent."""
+        known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
+        texts = {name: "" if value is None else digits(value) for name, value in known.items()}
+        return texts | {"failures": "; ".join(self.failures)}
 
-        loop, known = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
-        omega, gains = gain_curve(loop.A, loop.Bw, loop.C, loop.Dw, loop.dt)
-        levels = {name: value for name, value in known.items() if value is not None}
-        return notebook_figure(gain_panel("largest singular value of the closed loop, from w to z:", omega, gains, levels))
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop over frequency, with bound and lower bound."""
+        from models.document.notebook import gain_figure
+
+        loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
+        title = "Largest singular value of the closed loop, from w to z."
+        return (gain_figure(title, loop.A, loop.Bw, loop.C, loop.Dw, loop.dt, levels),)
 
     @property
     def bound(self) -> float | None:
@@ -259,8 +261,8 @@ class Certificate(Shown):
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
             remarks.append(
-                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {rate / self.speed:.0e} of the plant's "
-                "speed; weigh the signal that it moves, or measure it"
+                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {rounding_digits(rate / self.speed)} of the "
+                "plant's speed; weight the signal that it moves, or measure it"
             )
         if self.beyond_actuators:
             than = (
@@ -281,16 +283,17 @@ class Certificate(Shown):
             failures.append(self.stability.words)
         elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
             failures.append(
-                f"rounding may have changed the norm by {self.norm.rounding:.0e}: the loop is too near to marginal for floats"
+                f"rounding may have changed the norm by {rounding_digits(self.norm.rounding)}: the loop is too near to marginal "
+                "for floats"
             )
         elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
-            failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
+            failures.append(f"the two routes to the norm differ by {rounding_digits(self.norm.gap)}")
         if self.proof is not None:
             failures += self.proof.failures
             if self.norm.value > self.proof.bound:
-                failures.append(f"the norm {self.norm.value:.7g} exceeds the bound {self.proof.bound:.7g}")
+                failures.append(f"the norm {digits(self.norm.value)} exceeds the bound {digits(self.proof.bound)}")
         if self.gap is not None and self.gap < -BELOW:
-            failures.append(f"the norm {self.norm.value:.7g} lies below the lower bound {self.lower_bound:.7g}")
+            failures.append(f"the norm {digits(self.norm.value)} lies below the lower bound {digits(self.lower_bound)}")
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from models.common.command import chosen
 from models.common.errors import InputError, listing
 from models.vehicle.vehicle import ControllerEntry
@@ -27,7 +29,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
         raise InputError(f"{vehicle.source} holds no controller with a gain or law to check; write one with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
-            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; with one there are {listing(gains)}")
+            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {listing(gains)}")
     return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
 
 
@@ -48,7 +50,7 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
-    note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
+    note = note or ("its certificate does not hold" if entry.certificate else "the file has no certificate for it")
     said = (*judged_lines(controller), *controller.remarks, *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
 
@@ -59,10 +61,10 @@ UNPROVED = "no bound is proved: rounding leaves no X that satisfies LMI (20) nea
 def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
     """Returns a controller with a bound just above its norm, and a note; unchanged if it has a bound, or no loop to prove."""
     certificate = controller.certificate
-    if certificate.bound is not None or not certificate.stable or not controller.measured:
+    if certificate.bound is not None or not np.isfinite(certificate.norm.value) or not controller.measured:
         return controller, ()
     judged = designer.problem(controller.measured, controller.hardware).judged(controller.law)
     certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)
     if certified.bound is None:
         return controller, (UNPROVED,)
-    return replace(controller, certificate=certified), ("its law is given; its bound is proved here",)
+    return replace(controller, certificate=certified), ("its law is from the file; its bound is proved here",)

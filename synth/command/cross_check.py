@@ -3,7 +3,8 @@
 Many gains attain the optimum, so two solvers agree in gamma but not in the gain. A second problem therefore has our gain fixed.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,11 @@ class CrossCheck:
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
 
     @property
+    def record(self) -> dict[str, Any]:
+        """The comparison as JSON."""
+        return {**asdict(self), "apart": self.apart, "above": self.above}
+
+    @property
     def failures(self) -> tuple[str, ...]:
         """The disagreements, in words."""
         failed, theirs = [], f"Clarabel's optimum of {self.problem}, {BOUND.digits(self.theirs)}"
@@ -81,17 +87,15 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         controller: controller as designed, not refined.
         zero_l: True for a problem with L = 0.
     """
-    bound = controller.certificate.bound
+    bound, steps = controller.certificate.bound, controller.steps
     shared = designer.shared(controller.hardware)
     problem = well_posed(shared.plant)
     if (
-        not controller.designed
+        steps is None
         or controller.fallback_method
         or controller.law.states
         or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
-        or controller.sampled
         or controller.specifications
-        or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
         or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
@@ -105,7 +109,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     else:
         which, Q = "(25)", nullspace(rows)
         path = shared.state_path
-        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - controller.state_step_gap))
+        start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - steps.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
     # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
@@ -135,6 +139,4 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         optima[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
             remarks.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return CrossCheck(
-        which, bound / (1 + controller.optimum_gap), controller.optimum_gap, optima[0], optima[1], "; ".join(remarks)
-    )
+    return CrossCheck(which, bound / (1 + steps.optimum_gap), steps.optimum_gap, optima[0], optima[1], "; ".join(remarks))

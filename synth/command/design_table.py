@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
 from models.document.document import Block, Document, Statement, Table, notes
 from models.document.field import Field
-from models.document.outputs import check_outputs, written_lines
+from models.document.outputs import check_outputs, written, written_lines
 from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
@@ -72,9 +72,14 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.save:
         _check_save(vehicle, names, options)
     designs = designs_of(vehicle, names, options)
-    outputs = {"saved": _saved(designs, options.save), "picture": _drawn(designs, options.picture)}
+    outputs = {"saved": options.save} | ({"picture": _drawn(designs, options.picture)} if options.picture else {})
+    if options.save:
+        from synth.command.save import save
+
+        bounds = {row.name: row.sampled_below for row in designs.rows}
+        save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
     if options.json:
-        print(json.dumps(designs_object(designs, options, outputs), allow_nan=False))
+        print(json.dumps(designs_object(designs, outputs), allow_nan=False))
     else:
         say(answer_lines(designs, options, outputs))
     return 1 if any(row.failures for row in designs.rows) else 0
@@ -109,7 +114,13 @@ def _designed(designer: Designer, name: str, options: Namespace, stage: Stages, 
         if alone:
             raise
         row = Row(name, None, (), (str(error),))
-    return row if row.controller is None else _built(designer, row, row.controller)
+    if row.controller is None:
+        return row
+    vehicle, certificate = designer.vehicle, row.controller.certificate
+    norm, why = norm_or_failure(vehicle, row.controller)
+    said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
+    failures = (*failures_of_sampled_loop(vehicle, certificate, row.failures, norm), *why)
+    return replace(row, sampled=norm, notes=said, failures=failures, sampled_below=designer.sampled_bound(row.controller))
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
@@ -128,9 +139,9 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         from synth.command.check import proved
 
         controller, said = proved(designer, controller)
-    failures = (*controller.certificate.failures, *controller.unmet_specifications)
-    if undamped(controller):  # of the vehicle alone nobody claims that it is damped
-        failures = tuple(each for each in failures if each != controller.certificate.stability.words)
+    # The vehicle without control need not be damped.
+    excused = controller.certificate.stability.words if undamped(controller) else ""
+    failures = tuple(each for each in controller.failures if each != excused)
     if options.cross_check:
         from synth.command.cross_check import cross_check
 
@@ -150,22 +161,10 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
         except DesignError:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
         not_refined = f"not refined: {str(error).removeprefix(f'controller {name!r}: ')}"
-        failures = (*controller.certificate.failures, *controller.unmet_specifications)
-        return Row(name, controller, (*notes_on(controller), not_refined), failures, answers=(not_refined,))
+        return Row(name, controller, (*notes_on(controller), not_refined), controller.failures, answers=(not_refined,))
     said = notes_on(refined.start) if refined.start is not None else ("the two steps find no gain",)
-    judged = designer.judged(refined.controller)
-    failures = (*judged.certificate.failures, *judged.unmet_specifications)
-    traded = refined.traded.partition(";")[0]
-    return Row(name, judged, (*said, *judged.remarks, refined.traded), failures, answers=(traded,), refined=True)
-
-
-def _built(designer: Designer, row: Row, controller: Any) -> Row:
-    """Returns a row with the norm as implemented and its lower bound, if there are any, or why no computer can run the law."""
-    vehicle, certificate = designer.vehicle, controller.certificate
-    norm, why = norm_or_failure(vehicle, controller)
-    said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
-    failures = (*failures_of_sampled_loop(vehicle, certificate, row.failures, norm), *why)
-    return replace(row, sampled=norm, notes=said, failures=failures, sampled_below=designer.sampled_bound(controller))
+    judged, traded = designer.judged(refined.controller), refined.traded.partition(";")[0]
+    return Row(name, judged, (*said, *judged.remarks, refined.traded), judged.failures, answers=(traded,), refined=True)
 
 
 def _finished(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
@@ -211,20 +210,8 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
     check_save(options.save, vehicle, [name for name in new if name not in entries or not entries[name].preview] or new)
 
 
-def _saved(designs: Designs, path: Path | None) -> Path | None:
-    """Saves the designed controllers if requested; returns the path."""
-    if path:
-        from synth.command.save import save
-
-        bounds = {row.name: row.sampled_below for row in designs.rows}
-        save(path, designs.vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
-    return path
-
-
-def _drawn(designs: Designs, path: Path | None) -> Path | None:
-    """Draws the responses of all stable loops if requested; returns the path, or None if there are none."""
-    if not path:
-        return None
+def _drawn(designs: Designs, path: Path) -> Path | None:
+    """Draws the responses of all stable loops. Returns the path, or None without a stable loop."""
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
@@ -234,16 +221,16 @@ def _drawn(designs: Designs, path: Path | None) -> Path | None:
     return path if figure is not None else None
 
 
-def designs_object(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> dict[str, Any]:
+def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict[str, Any]:
     """Returns the designs as a JSON object: SI units, None for infinite or missing values."""
-    limit, files = designs.limit, {name: str(path) if path else None for name, path in outputs.items()}
+    limit = designs.limit
     return {
         "vehicle": designs.vehicle.kind.name,
         "controllers": [row_object(row) for row in designs.rows],
         "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
         "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive},
         "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
-        **(files if options.picture else {"saved": files["saved"]}),
+        **written(outputs),
     }
 
 
@@ -277,8 +264,10 @@ def document(designs: Designs, options: Namespace) -> Document:
 
         blocks += tolerated({row.name: row.fragile for row in rows if row.fragile is not None})
     blocks += describe(vehicle, rows, designs.limit, designs.plant).blocks
-    blocks += _rides(designs) if not asked else []
-    blocks += _worth(rows) if not asked else []
+    if not asked:
+        blocks += _rides(designs)
+        shares = ", ".join(f"{as_name(row.name)} by {_at_least(row.worth)} or more" for row in rows if row.worth)
+        blocks += notes(f"--refine lowers the norm of {shares}.") if shares else ()
     unnamed = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
     if unnamed and not (options.controller or options.check):
         names = ", ".join(map(as_name, unnamed))
@@ -302,12 +291,6 @@ def _rides(designs: Designs) -> list[Statement]:
     if worse:
         said.append(f"Ride WORSE than passive: {', '.join(worse)}; the norm does not measure comfort alone.")
     return [*notes(*said, detail="brief")]
-
-
-def _worth(rows: Sequence[Row]) -> list[Statement]:
-    """Returns a statement on the norms that `--refine` lowers by more than the table's last digit."""
-    shares = ", ".join(f"{as_name(row.name)} by {_at_least(row.worth)} or more" for row in rows if row.worth)
-    return [Statement(f"--refine lowers the norm of {shares}.")] if shares else []
 
 
 def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:

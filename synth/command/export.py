@@ -23,7 +23,7 @@ from synth.controller.export.compiled import compiler
 from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
-from synth.controller.report import NORM
+from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
@@ -36,10 +36,12 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         InputError: a controller is unknown or cannot be exported so, or the folder or file cannot be written.
     """
     record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
+    names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
+    studied = [name for name in names if options.controller in (None, [ALL]) or name in options.controller]
     if options.json:
         print(json.dumps(record, allow_nan=False))
     else:
-        say(lines)
+        say([*lines, *(f"{name}: {STUDY}" for name in studied)])
     return 0
 
 
@@ -64,7 +66,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
     """Writes the folder of one controller; returns what is in it for JSON, and in lines."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder}: is there already, and not empty; give another folder, or remove it")
+        raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove it")
     _, law, texts = _law(vehicle, options, str)
     with (
         made_folder(folder.parent, "export"),
@@ -88,7 +90,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
         f"controller {law.controller} as C99 in {options.numbers}, with the prefix {law.name}",
         *(f"  {path}" for path in texts),
         "",
-        f"written to {folder}; its README.md shows how to call it, and python -m synth --check {folder} if it is changed",
+        f"written to {folder}; its README.md shows how to call the code, and python -m synth --check {folder} verifies the files",
     ]
 
 
@@ -97,7 +99,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers is of code, and a file for MATLAB has double numbers; omit it")
+        raise InputError("--numbers is for code, and a file for MATLAB has double numbers; omit it")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
@@ -119,7 +121,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
             part.write_text(script(file.name, vehicle, controllers), encoding="utf-8", newline="\n")
     structs = struct_names(controllers)
     return {"files": [str(file), str(beside)], "structs": structs}, [
-        f"{file}: a struct for each controller, and vehicle with the plant",
+        f"{file}: a struct for each controller, and the struct vehicle with the plant",
         *(
             f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
             f"norm {NORM.cell(one.certificate)}"
@@ -127,7 +129,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         ),
         *left_out_lines(left_out),
         "",
-        f"{beside} makes ss objects of them in MATLAB",
+        f"{beside}: a MATLAB script that makes ss objects of them",
     ]
 
 
@@ -136,7 +138,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.fmu import fmu
 
     if options.part != "controller" and "numbers" in options.given:
-        raise InputError(f"--numbers is of a controller's code, and --part {options.part} is linear equations; omit it")
+        raise InputError(f"--numbers is for a controller's code, and --part {options.part} has linear equations; omit it")
     parts = {"controller": _controller, "vehicle": _vehicle, "loop": _loop}
     model, resources, about = parts[options.part](vehicle, options)
     with whole_file(options.export, "export") as beside:
@@ -155,7 +157,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         *(f"  in   {one.name} [{one.unit}]" for one in model.inputs),
         *(f"  out  {one.name} [{one.unit}]" for one in model.outputs),
         "",
-        "it must be stepped " + (f"every {model.period:g} s" if model.period is not None else "with steps of any length"),
+        f"communication step size: {'any' if model.period is None else f'{model.period:g} s'}",
         f"binaries: {listing(made.platforms)}" if made.platforms else "",
         made.missing,
     ]
@@ -174,7 +176,7 @@ def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
 def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the linear vehicle as the content of an FMU."""
     if options.controller:
-        raise InputError("--part vehicle has no controller in it; omit --controller, or request --part loop")
+        raise InputError("--part vehicle contains no controller; omit --controller, or give --part loop")
     model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle_system(vehicle))
     return model, {VEHICLE: vehicle.text}, _about(model)
 
@@ -205,8 +207,8 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     entry = vehicle.controllers.get(name)
     if vehicle.driven_by(name) is not vehicle:
         raise InputError(
-            f"--export: {name!r} drives actuators that push, in a file with adjustable dampers, and code is of one sort; export "
-            "it from a file without [actuators]"
+            f"--export: {name!r} drives force actuators, and the file has semi-active dampers; export it from a file without "
+            "[actuators]"
         )
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
         return vehicle, name
@@ -277,7 +279,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
     from synth.command.check import check
 
     if name not in vehicle.linear_names or vehicle.controllers[name].law is None:
-        return "no claim is made of a semi-active law"
+        return "a semi-active law has no certificate"
     (row,) = check(Designer(vehicle), [name])
     return list(row.failures) if row.failures else row.notes[-1]
 
@@ -287,14 +289,14 @@ def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
     try:
         command = compiler()
     except InputError:
-        return "no C compiler is here: the code was not run", True
+        return "the code was not run: there is no C compiler", True
     with tempfile.TemporaryDirectory() as beside:
         program = str(Path(beside) / "back_to_back")
         sources = [str(folder / f"{prefix}.c"), str(folder / "test" / "main.c")]
         built = subprocess.run([*command, *FLAGS.split(), *sources, "-o", program], capture_output=True, text=True, check=False)
         if built.returncode:
             why = "; ".join(built.stderr.splitlines()[:1])
-            return f"the compiler {Path(command[0]).name} refuses the code: {why}", False
+            return f"the compiler {Path(command[0]).name} rejects the code: {why}", False
         ran = subprocess.run([program, str(folder / "test" / "vectors.csv")], capture_output=True, text=True, check=False)
-    said = ran.stdout.strip() or "it crashed"
+    said = ran.stdout.strip() or "the code crashed"
     return f"back to back: {said}", ran.returncode == 0

@@ -22,51 +22,40 @@ class FragilityReport:
     Attributes:
         found: the errors that it tolerates.
         rounding: certificates with rounded coefficients, by number format.
-        measured: names of the measured signals.
-        forces: names of the vehicle's forces.
+        lines: both in words.
+        record: both as JSON.
     """
 
     found: errors.Fragility
     rounding: dict[str, Certificate]
-    measured: tuple[str, ...]
-    forces: tuple[str, ...]
-
-    @property
-    def lines(self) -> list[str]:
-        """In words."""
-        return [
-            errors.fragility_text(self.found, self.measured, self.forces),
-            errors.rounding_text(self.found.norm, self.rounding),
-        ]
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """The fragility as JSON."""
-        return errors.fragility_object(self.found, self.rounding, self.measured, self.forces)
+    lines: list[str]
+    record: dict[str, Any]
 
 
-def fragility_report(vehicle: Vehicle, controller: Controller | None) -> FragilityReport | None:
-    """Computes the fragility of a controller. Returns None without a controller, a gain or a stable loop."""
-    if controller is None or not controller.law.acts or not controller.certificate.stable:
+def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityReport | None:
+    """Computes the fragility of a controller. Returns None without a gain or a stable loop."""
+    if not controller.law.acts or not controller.certificate.stable:
         return None
-    posed = controller.problem(vehicle.without_integrals)
-    borne = errors.fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
-    forces = tuple(vehicle.linear_model.inputs)
-    return FragilityReport(borne, errors.rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
+    posed, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
+    norms, gain = posed.of_heights is None, controller.law.continuous()
+    found = errors.fragility(scaled_gain(posed.plant, posed.Cy, gain, posed.Dyw, posed.feedthrough), norms)
+    rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
+    lines = [errors.fragility_text(found, *names), *filter(None, [errors.rounding_text(found.norm, rounding)])]
+    return FragilityReport(found, rounding, lines, errors.fragility_object(found, rounding, *names))
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
-    first = next(iter(reports.values()))
-    fields: list[Field[tuple[str, FragilityReport]]] = [Field("errors [%]", lambda of: of[0])]
-    fields.append(Field("unstable", lambda of: _between(of[1].found.stable)))
-    for share in first.found.within:
-        fields.append(Field(f"norm + {percent(share)}", lambda of, to=share: _between(of[1].found.within[to])))
-    for name in first.rounding:
-        fields.append(Field(name, lambda of, to=name: of[1].rounding[to].norm.value, NORM.form))
-    text = "Errors that each measurement and force may have: proved harmless, found harmful. int16, float16: the norm so rounded."
+    first = min(reports.values(), key=lambda one: len(one.rounding))
+    fields: list[Field[tuple[str, FragilityReport]]] = [
+        Field("errors [%]", lambda of: of[0]),
+        Field("unstable", lambda of: _between(of[1].found.stable)),
+        *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
+        *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
+    ]
+    text = "Errors of all measurements and forces: largest proved harmless, smallest found harmful. int16, float16: rounded norm."
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 

@@ -14,6 +14,12 @@ AXES_HELP = (
     "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 8 s, with tolerance 20 s"
 )
 
+ALONE = {  # what an option does, and the options that it can be combined with
+    "check": ("verifies the claims of its own file and designs nothing", ("controller", "picture")),
+    "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
+    "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),
+    "export": ("writes one controller", ("controller", "vehicle", "numbers", "range", "part", "fmi")),
+}
 EPILOG = """
 exit code: 0 every claim holds; 1 a controller could not be designed, or a claim fails; 2 invalid input. If the vehicle file has a
 sample period or a delay, an unstable loop fails only if it is unstable both with and without them. A loop that is unstable only
@@ -48,31 +54,23 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs again, and {why}; omit one of them")
-    if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove", "fragility"}:
-        raise InputError("--check reads its own file and designs nothing; it goes with --controller, --picture and --json only")
-    if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove", "fragility"}:
-        raise InputError("--rates takes designs as they are; it goes with --controller, --vehicle, --picture and --json only")
-    if options.front is not None and options.given & {"zero_l", "refine", "check", "cross_check", "prove", "rates", "fragility"}:
-        raise InputError(
-            "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
-        )
-    others = {"zero_l", "refine", "save", "check", "cross_check", "prove", "rates", "fragility", "front", "picture"}
-    if options.export is not None and options.given & others:
-        raise InputError(
-            "--export writes one controller; it goes with --controller, --vehicle, --numbers, --range, --part, --fmi and --json "
-            "only"
-        )
-    if options.ranges and options.numbers not in ("int32", "int16"):
-        raise InputError("--range is of integers; give --export with --numbers int32 or int16, or omit it")
-    if options.export is None and "numbers" in options.given:
-        raise InputError("--numbers is of the code of --export; name its folder with --export, or omit it")
-    fmu = options.export is not None and options.export.suffix.lower() == ".fmu"
-    for name in ("part", "fmi"):
-        if not fmu and name in options.given:
-            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or omit it")
-    for name in ("csv", "point"):
-        if options.front is None and name in options.given:
-            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or omit it")
+    given = options.given | ({"range"} if options.ranges else set())
+    for name, (does, others) in ALONE.items():
+        if name in given and given - {name, "json", "verbose", *others}:
+            listed = ", ".join(f"--{other}" for other in others)
+            raise InputError(f"--{name} {does}; it can be combined with {listed} and --json only")
+    export, front = options.export is not None, options.front is not None
+    fmu = export and options.export.suffix.lower() == ".fmu"
+    for name, possible, why in (
+        ("range", options.numbers in ("int32", "int16"), "--range is for integers; give --export with --numbers int32 or int16"),
+        ("numbers", export, "--numbers is for the code of --export; name its folder with --export"),
+        ("part", fmu, "--part is for an FMU; name its file with --export FILE.fmu"),
+        ("fmi", fmu, "--fmi is for an FMU; name its file with --export FILE.fmu"),
+        ("csv", front, "--csv is for the designs of --front; give its axes with --front"),
+        ("point", front, "--point is for the designs of --front; give its axes with --front"),
+    ):
+        if name in given and not possible:
+            raise InputError(f"{why}, or omit it")
     return options
 
 

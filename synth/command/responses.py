@@ -1,11 +1,11 @@
-"""`--picture`: how much of every frequency of the road comes to z, and the bands that goals speak of."""
+"""`--picture`: the gain from the road to z over frequency, and the bands of goals."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from models.document.figure import Curve, Figure, Panel, Spans, styles
-from models.laws.goals import NormBound
+from models.laws.goals import NormBound, NormOf
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
@@ -21,7 +21,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
     stable = [row for row in rows if row.controller is not None and row.controller.certificate.stable]
     if not stable:
         return None
-    bands = _bands(vehicle, stable)
+    bands = dict.fromkeys(norm.band for row in stable for norm in _norms(vehicle, row))
     ends = [end for band in bands for end in band if 0 < end < np.inf]
     low, high = min([SHOWN[0], *(end / ROOM for end in ends)]), max([SHOWN[1], *(end * ROOM for end in ends)])
     hertz, style, curves = np.geomspace(low, high, POINTS), styles(tuple(row.name for row in stable)), []
@@ -30,15 +30,15 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
         look = style[row.name]
         curves.append(Curve(hertz, gains, row.name, look.color, look.dash))
-        for band, level in _levels(vehicle, row):
-            across = np.clip(np.array(band), low, high)
-            curves.append(
-                Curve(across, np.full(2, level), "", look.color, "solid", width=2.5, name=f"{row.name}, proved in the band")
-            )
+        proved = {one.what: one.proved for one in row.controller.specifications}  # of one vehicle without errors
+        for norm in _norms(vehicle, row):
+            if np.isfinite(level := proved.get(norm.text) or np.inf):
+                across, name = np.clip(np.array(norm.band), low, high), f"{row.name}, proved in the band"
+                curves.append(Curve(across, np.full(2, level), "", look.color, "solid", width=2.5, name=name))
     names = tuple(f"{a:g} to {b:g} Hz, a goal's band" for a, b in bands)
     title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: the most of a sinusoid of the road's velocity that comes to z; a band that a "
-        "goal speaks of is shaded, and what is proved in it drawn across"
+        f"{vehicle.kind.name.replace('_', ' ')}: largest gain from a sinusoidal road velocity to z; the bands of goals are "
+        "shaded, with a line at the level that is proved there"
     )
     panel = Panel(
         "",
@@ -55,22 +55,8 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
     return Figure("responses", title, (panel,), 1, finding)
 
 
-def _bands(vehicle: Vehicle, rows: Sequence[Row]) -> list[tuple[float, float]]:
-    """The bands of the rows' goals of `[performance]` [Hz], each once."""
-    bands = {}
-    for row in rows:
-        goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
-        norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
-        bands |= dict.fromkeys(norm.band for norm in norms if norm.narrow and norm.signals is None)
-    return list(bands)
-
-
-def _levels(vehicle: Vehicle, row: Row) -> list[tuple[tuple[float, float], float]]:
-    """Returns the proved levels in the bands of a controller's goals, without errors."""
+def _norms(vehicle: Vehicle, row: Row) -> list[NormOf]:
+    """Returns the norms of `[performance]` in bands that a controller's goals contain."""
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
-    if goals is None or row.controller is None or goals.family:
-        return []
-    proved = {promise.what: promise.proved for promise in row.controller.specifications}
-    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
-    levels = [(norm.band, proved.get(norm.text)) for norm in norms if norm.narrow and norm.signals is None]
-    return [(band, level) for band, level in levels if level is not None and np.isfinite(level)]
+    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
+    return [norm for norm in norms if norm.narrow and norm.signals is None]

@@ -2,7 +2,7 @@
 
 import json
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from models.common.errors import InputError
@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.controller.report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from synth.vehicle.sample_rate.cost import SHORTEST, Cost, cost
+from synth.vehicle.sample_rate.cost import SHORTEST, cost
 from synth.vehicle.sample_rate.report import cost_object, describe, drawn_periods, failures, rates_figure
 
 MOST = 1000  # rates in one table
@@ -35,7 +35,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
         if list(rates).count(rate) > 1:
             raise InputError(f"--rates {rate:g} ms is given twice; give it once")
     if len(rates) > MOST:
-        raise InputError(f"--rates asks for {len(rates)} sample periods; give at most {MOST}")
+        raise InputError(f"--rates has {len(rates)} sample periods; give at most {MOST}")
     return sorted(rate / 1e3 for rate in rates)
 
 
@@ -61,7 +61,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     stage.end()
     if options.picture and costs:
         write_picture(rates_figure(vehicle, costs, periods), options.picture)
-    chosen = [_only(one, periods) for one in costs]
+    chosen = [replace(one, rates=tuple(at for at in one.rates if at.period in periods)) for one in costs]
     failed = [text for one in chosen for text in failures(one)]
     if options.json:
         rows = [cost_object(one) for one in chosen]
@@ -69,19 +69,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
     else:
         document = describe(chosen, built_words(replace(vehicle, implementation=Implementation())))
-        end = [*written_lines(outputs), "", *_verdict(len(chosen), failed, undesigned)]
+        wrong = [f"controller {name} NOT DESIGNED: {reason}" for name, reason in undesigned.items()]
+        wrong += [f"DOES NOT HOLD: {text}" for text in failed]
+        holds = f"every claim holds for {len(chosen)} controller{'s' * (len(chosen) != 1)}"
+        end = [*written_lines(outputs), "", *(wrong or [holds])]
         title = titled(vehicle.kind.name, vehicle.source)
         say([*title, *screen_lines(replace(document, title=""), options.verbose, [*title, *end]), *end])
     return 1 if failed or undesigned else 0
-
-
-def _verdict(count: int, failed: Sequence[str], undesigned: Mapping[str, str]) -> list[str]:
-    """Returns the failures, or that there are none."""
-    lines = [f"controller {name} NOT DESIGNED: {reason}" for name, reason in undesigned.items()]
-    lines += [f"DOES NOT HOLD: {text}" for text in failed]
-    return lines or [f"every claim holds for {count} controller{'s' * (count != 1)}"]
-
-
-def _only(one: Cost, periods: Sequence[float]) -> Cost:
-    """Returns the cost at the requested rates only."""
-    return replace(one, rates=tuple(at for at in one.rates if at.period in periods))

@@ -24,9 +24,7 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
         InputError: there is nothing to write, a name is taken, or the file could not be read at its place.
     """
     if not names:
-        raise InputError(
-            "--save has nothing to write: no controller was designed; ask for one that the vehicle file gives no gain"
-        )
+        raise InputError("--save has nothing to write: no controller was designed; choose one without a gain in the vehicle file")
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")

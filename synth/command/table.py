@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ from synth.controller.report import (
     NORM,
     PEAK,
     REACHED,
+    SAME,
     SAMPLED,
     SLOWEST_POLE,
     built_words,
@@ -44,9 +45,8 @@ from synth.controller.report import (
     norm_record,
     notes_on_sampled_loop,
     pid_line,
-    relative_difference_text,
-    sampled_lines,
     sign_note,
+    study_notes,
     twist_lines,
 )
 from synth.plant.generalized import GeneralizedPlant
@@ -114,7 +114,8 @@ def _decided(row: Row, field: Field[Certificate]) -> Any:
     """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
     if row.certificate is None:
         return "NOT DESIGNED"
-    return field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
+    return "infinite" if value == math.inf else value
 
 
 CERTIFICATE = attrgetter("certificate")  # of a row
@@ -139,7 +140,12 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
-    held = Field[Row]("certificate", lambda row: "; ".join(row.failures or _cured(vehicle, row)) or "holds", detail="full")
+
+    def certificate(row: Row) -> str:
+        cured = notes_on_sampled_loop(vehicle, row.certificate, row.sampled) if row.certificate is not None else ()
+        return "; ".join(row.failures or cured) or "holds"
+
+    held = Field[Row]("certificate", certificate, detail="full")
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
     if bounded:  # a terminal has no room for them beside the lower bound of the sampled loop
         others = [replace(field, detail="full") for field in others]
@@ -150,8 +156,12 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     blocks.append(
         Table.of("designs", "Norms, bounds and certificates of all controllers.", fields, rows, words=2, detail="brief")
     )
-    blocks += notes(*ideal_lines(vehicle, controllers), *([] if apart else sampled_lines(vehicle)))
+    blocks += notes(*ideal_lines(vehicle, controllers))
+    if not (apart or vehicle.implementation.undelayed):
+        text = "The column sampled is the norm of the sampled-data loop, including the motion between samples"
+        blocks += notes(f"{text}: {built_words(vehicle)}.")
     blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
+    blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
     blocks += notes(EXPLANATION, detail="full")
@@ -190,7 +200,8 @@ def _difference(row: Row) -> str:
     one, norm = row.controller, row.sampled
     if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
-    return relative_difference_text(norm.value, one.certificate.norm.value)
+    share = norm.value / one.certificate.norm.value - 1
+    return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
 
 
 NORMS: tuple[Field[Row], ...] = (
@@ -200,10 +211,6 @@ NORMS: tuple[Field[Row], ...] = (
     Field("that is", _difference),
     REACHED.of(lambda row: row.sampled),
 )
-
-
-def _cured(vehicle: Vehicle, row: Row) -> tuple[str, ...]:
-    return notes_on_sampled_loop(vehicle, row.certificate, row.sampled) if row.certificate is not None else ()
 
 
 def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
@@ -235,11 +242,14 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
     controller = row.controller
     assert controller is not None
     if undamped(controller):
-        yield f"undamped without control; natural frequencies {', '.join(map(_motion, _poles(controller)))}"
+        damped = [(pole, f" (damping {DAMPING.cell(pole)})" if pole.real else "") for pole in _poles(controller)]
+        motions = ", ".join(f"{HERTZ.text(abs(pole))}{damping}" for pole, damping in damped)
+        yield f"undamped without control; natural frequencies {motions}"
     elif controller.specifications:
         first, *others = controller.specifications
         kept = sum(one.holds for one in others)
-        yield f"{replace(first, where='').text}{f'; {kept} more kept' if kept else ''}"
+        rest = f"; {kept} of {len(others)} others hold" if others else ""
+        yield f"{replace(first, where='').text}{rest}"
     elif (gains or row.refined) and controller.designed:
         text = pid_line(controller) if controller.law.states else f"gain {gain_text(controller.law.D)}"
         yield from [text] if text and (controller.law.states or len(text) <= GAIN_WIDTH) else []
@@ -286,10 +296,6 @@ POLES: tuple[Field[complex], ...] = (
     HERTZ,
     DAMPING,
 )
-
-
-def _motion(pole: complex) -> str:
-    return HERTZ.text(abs(pole)) + (f" (damping {DAMPING.cell(pole)})" if pole.real else "")
 
 
 INSIDE = "one sample period decides the sampled norm: no controller at this rate has a smaller one"
@@ -365,7 +371,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "failures": list(row.failures),
         "refine_lowers_by_at_least": row.worth or None,
         **({"promises": [promise.record for promise in controller.specifications]} if controller.specifications else {}),
-        "cross_check": _witness_object(row.witness) if row.witness is not None else None,
+        "cross_check": row.witness.record if row.witness is not None else None,
         **({"fragility": row.fragile.record} if row.fragile is not None else {}),
     }
 
@@ -376,11 +382,6 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
-
-
-def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
-    """Returns a cross-check as a JSON object."""
-    return {**asdict(witness), "apart": witness.apart, "above": witness.above}
 
 
 def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:

@@ -46,7 +46,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     try:
         trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, progress)
         if not trade_off.points:
-            raise DesignError(f"of {trade_off.tried} designs, none has claims that could all be proved; give other axes")
+            raise DesignError(f"for none of {trade_off.tried} designs, all claims could be proved; give other axes")
     except DesignError as error:
         stage.end()
         if options.json:

@@ -8,14 +8,16 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Checked, at_the_door
 from models.common.errors import InputError, error_in, listing
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate, certify
+from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
@@ -24,6 +26,7 @@ from synth.plant.generalized import GeneralizedPlant
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
     from synth.analysis.specification import Specification
+    from synth.design.two_step import Design
 
 
 SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
@@ -38,11 +41,7 @@ class Controller(ControlLaw, Checked, Shown):
         measured: the q measured signals y. Empty for `passive`.
         law: the law from y to the m forces; a static one is u = K y.
         designed: True if it was designed here; otherwise the law was given (or is zero, for `passive`).
-        state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
-            central path, more if the second problem is infeasible from there.
-        optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
-            gains beyond any actuator reach the optimum.
-        moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
+        steps: the `Design` in two steps that its gain is from; None for other laws.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: certificate of the closed loop.
         degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
@@ -61,9 +60,7 @@ class Controller(ControlLaw, Checked, Shown):
     law: LinearLaw
     designed: bool
     certificate: Certificate
-    state_step_gap: float = 0.0
-    optimum_gap: float = 0.0
-    moved: float = 0.0
+    steps: "Design | None" = None
     redundant: tuple[str, ...] = ()
     degeneracy: str = ""
     fallback_method: str = ""
@@ -75,25 +72,29 @@ class Controller(ControlLaw, Checked, Shown):
     preview: "RoadPreview | None" = None
     code: Any = None
 
+    @classmethod
+    def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
+        """Returns the designed controller of a section of the vehicle file; `more` are other attributes."""
+        return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
+
     @property
     def kind(self) -> str:
         """Kind of its law, in words, with an article."""
         return "a linear law"
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Measured signals, law and certificate."""
-        title, proved = self.certificate.shown
         states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
         law = states if self.law.states else self.text if self.measured else "no force"
-        return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
-            "measures": ", ".join(self.measured) or "nothing",
-            "law": law,
-            **proved,
-        }
+        made, certificate = "designed" if self.designed else "given", self.certificate
+        rows = {"measures": ", ".join(self.measured) or "nothing", "law": law, **certificate.claims}
+        return facts(f"controller {self.name}: {made}, {certificate.shown.title}", rows)
 
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.certificate.figure
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop."""
+        return self.certificate.drawn
 
     @property
     def states(self) -> int:
@@ -151,6 +152,11 @@ class Controller(ControlLaw, Checked, Shown):
         """The specifications that are not kept, or not proved, in words."""
         return tuple(f"not kept: {promise.text}" for promise in self.specifications if not promise.holds)
 
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The claims of its certificate and its specifications that do not hold, in words."""
+        return (*self.certificate.failures, *self.unmet_specifications)
+
     @at_the_door
     def problem(self, vehicle: Vehicle) -> Problem:
         """Returns the problem that the controller is judged with, for a vehicle that has these signals.
@@ -171,8 +177,7 @@ class Controller(ControlLaw, Checked, Shown):
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
-        plant, G = self.problem(vehicle).closed_loop(self.law)
-        return plant.closed_loop(G)
+        return self.problem(vehicle).judged(self.law).loop
 
     def state_gain(self, vehicle: Vehicle) -> Array:
         """Returns G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
@@ -181,7 +186,7 @@ class Controller(ControlLaw, Checked, Shown):
             ValueError: the law has states; `loop` accepts any law.
         """
         if self.law.states:
-            raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
+            raise ValueError(f"controller {self.name!r} has states and therefore no state gain; use loop(vehicle)")
         C, through = vehicle.linear_model.rows(self.measured)
         return self.law.continuous().fed_back(through).D @ C
 
@@ -213,8 +218,8 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
             wrong = wrong or f"has a law of shape {one.law.D.shape}"
         if wrong:
             raise InputError(
-                f"controller {one.name!r} {wrong}, and is another vehicle's; this {vehicle.kind.name} has {forces} force(s) and "
-                f"the signals {listing(outputs)}"
+                f"controller {one.name!r} {wrong} and belongs to another vehicle; this {vehicle.kind.name} has {forces} force(s) "
+                f"and the signals {listing(outputs)}"
             )
 
 
@@ -229,8 +234,8 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} answers the road ahead, and {what} has its feedback of measured signals alone; "
-            "name a controller without preview"
+            f"controller {controller.name!r} has a preview of the road, and {what} contains only feedback of measured signals; "
+            "choose a controller without preview"
         )
 
 
@@ -251,7 +256,7 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
         X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, of_law, posed.Dyw)
-        certificate = certify(judged.plant, judged.G, X, eta, lower_bound, by_itself=judged.by_itself)
+        certificate = judged.certificate(X, eta, lower_bound)
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
@@ -262,8 +267,7 @@ def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound)
         InputError: the law has no loop.
     """
     with error_in(f"[controllers.{entry.name}]"):
-        judged = posed.judged(_law(entry))
-        certificate = certify(judged.plant, judged.G, lower_bound=lower_bound, by_itself=judged.by_itself)
+        certificate = posed.judged(_law(entry)).certificate(lower_bound=lower_bound)
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:

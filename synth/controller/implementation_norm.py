@@ -10,7 +10,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg
 
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
@@ -21,10 +20,10 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
 from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_intervals
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.specification import SampledNorm
+from synth.analysis.specification import SampledNorm, claimed_digits
 from synth.controller.controller import Controller
-from synth.controller.open_loop import readings_of_road, sampled
-from synth.controller.problem import generalized_plant, measurements
+from synth.controller.open_loop import heights_read, readings_of_road, sampled
+from synth.controller.problem import generalized_plant, measurements, problem, road_rates
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 
@@ -47,7 +46,8 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     """Returns the loop as implemented, with the plant's weights and lag; arguments as for `norm_as_implemented`.
 
     A reading that contains the road's velocity, by tyres that damp, contains its mean over the last period: no energy of the road
-    bounds the velocity at an instant. As in MuJoCo, where a road that is held moves by steps.
+    bounds the velocity at an instant. As in MuJoCo, where a road that is held moves by steps. The road's height in a reading is
+    the integral of its velocity.
     """
     how = vehicle.implementation
     period = how.sample_period or timestep
@@ -63,29 +63,34 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
         heard = cut.reading @ np.diag(rms)[:, rms > 0] / math.sqrt(period)  # as in `SampledDataProblem`
         noise = np.vstack([heard[: cut.forces], period * heard[cut.forces :]])
     loop = SampledLoop(plant, hold_intervals(period, how.delay), G[: cut.forces], memory, period * cut.hold, noise)
-    felt = readings_of_road(cut, controller)
-    return _with_mean_velocity(loop, np.vstack([felt[: cut.forces], period * felt[cut.forces :]])) if felt.any() else loop
+    felt, height = readings_of_road(cut, controller), heights_read(cut, controller)
+    if not felt.any() and not height.any():
+        return loop
+    felt, height = (np.vstack([of[: cut.forces], period * of[cut.forces :]]) for of in (felt, height))
+    C, D = road_rates(vehicle.without_integrals, plant)
+    return _with_road(loop, felt, height, C[: felt.shape[1]], D[: felt.shape[1]])
 
 
-def _with_mean_velocity(loop: SampledLoop, felt: Array) -> SampledLoop:
-    """Returns the loop whose readings contain the road's mean velocity over the last period.
+def _with_road(loop: SampledLoop, felt: Array, height: Array, C: Array, D: Array) -> SampledLoop:
+    """Returns the loop whose readings contain the road's mean velocity over the last period, and its height.
 
     The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the controller keeps the integral of the last
     sample: their difference is the mean.
 
     Args:
         felt: gain from the velocities to the computed forces and the next controller states, shape (m + k, r).
+        height: gain from the heights to the same.
+        C, D: gain to the velocities from the plant's states and disturbances.
     """
     (n, m), k, r, plant = loop.plant.B.shape, len(loop.A_register), felt.shape[1], loop.plant
-    more = plant.Bw.shape[1]
     wide = replace(
         plant,
-        A=linalg.block_diag(plant.A, -FORGOTTEN / loop.period * np.eye(r)),
+        A=np.block([[plant.A, np.zeros((n, r))], [C, -FORGOTTEN / loop.period * np.eye(r)]]),
         B=np.vstack([plant.B, np.zeros((r, m))]),
-        Bw=np.vstack([plant.Bw, np.eye(r, more)]),
+        Bw=np.vstack([plant.Bw, D]),
         C=np.hstack([plant.C, np.zeros((len(plant.C), r))]),
     )
-    now, before = felt / loop.period, -math.exp(-FORGOTTEN) * felt / loop.period
+    now, before = felt / loop.period + height, -math.exp(-FORGOTTEN) * felt / loop.period
     gains = np.vstack([loop.K, loop.A_register])
     gains = np.hstack([gains[:, :n], now, gains[:, n:], before])
     kept = np.hstack([np.zeros((r, n)), np.eye(r), np.zeros((r, k + r))])
@@ -103,13 +108,13 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
     how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
         raise InputError(
-            f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
-            "period; give it, as in sample_period = 0.01, seconds"
+            f"controller {entry.name!r} is designed for the sampled-data loop, and [implementation] has no sample period; give "
+            "one, such as sample_period = 0.01 (seconds)"
         )
     if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"controller {entry.name!r} is designed for the loop that a computer closes, and {pushed[0]!r} jumps with the road's "
-            "velocity, by the damping of the tyre, so that no energy bounds a sample; omit the signal, or tyre_damping"
+            f"controller {entry.name!r} is designed for the sampled-data loop, and {pushed[0]!r} contains the road's velocity "
+            "because of tyre_damping, so no energy bounds a sample; omit the signal or tyre_damping"
         )
     Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
@@ -127,7 +132,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
     record = entry.certificate or {}
     if SAMPLED_BOUND not in record:
         return ()
-    claimed = f"the lower bound of the sampled loop is claimed to be {record[SAMPLED_BOUND]:.10g}"
+    claimed = f"the lower bound of the sampled loop is claimed to be {claimed_digits(record[SAMPLED_BOUND])}"
     if vehicle.implementation.sample_period is None:
         return (f"{claimed}, and [implementation] has no sample_period",)
     bound = read_sampled_bound(record, held_problem(vehicle, entry))
@@ -138,6 +143,9 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
+    if vehicle.linear_model.over_datum(controller.measured):
+        lagging = replace(NOMINAL, bandwidth=vehicle.limits.actuator_bandwidth)
+        return problem(vehicle, controller.measured, lagging).judged(controller.law).certificate().norm.value
     Cy, through = measurements(vehicle.without_integrals, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, model = plant_as_built(vehicle), vehicle.linear_model
     felt = model.Dw[[model.outputs.index(name) for name in controller.measured]]

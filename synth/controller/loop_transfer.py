@@ -6,8 +6,8 @@ where u is the force that acts and v the force asked for; the loop is closed by 
 controller's own. H is zero, but for a measured acceleration, which has the force in it.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,9 +15,10 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
+from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous, sampled, with_lag
+from synth.controller.open_loop import LoopModel, continuous, with_lag
 from synth.plant.discrete import held_inputs
 
 DECAYS = 1e-9  # of the fastest of a law: a mode that decays as slowly does not
@@ -77,13 +78,15 @@ class LoopTransfer:
 
     def sampled_growth(self, period: float) -> float:
         """Spectral radius of one of these, made by itself, less 1."""
-        if self.sampling is not None and self.sampling.whole:
-            Phi, Gamma, G = sampled_loop_transfer(self.sampling.vehicle, self.sampling.controller, period)
-        elif self.sampling is not None:
-            return float(np.abs(np.linalg.eigvals(self.sampling.transitions(0.0, period, 1)[0])).max() - 1)
+        if self.sampling is None:
+            Phi, Gamma = held_inputs(self.A, period, linalg.expm, self.B)
+            transition = Phi + Gamma @ self.G
+        elif self.sampling.whole:
+            prompt = replace(self.sampling.vehicle, implementation=Implementation())
+            transition = LoopModel(prompt, self.sampling.controller, period).closed_loop.transition
         else:
-            (Phi, Gamma), G = held_inputs(self.A, period, linalg.expm, self.B), self.G
-        return float(np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() - 1)
+            (transition,) = self.sampling.transitions(0.0, period, 1)
+        return float(np.abs(np.linalg.eigvals(transition)).max() - 1)
 
     def transfer(self, omega: Array) -> Array:
         """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
@@ -158,7 +161,7 @@ class SampledLaw:
         return A, B, np.hstack([C, np.zeros((len(C), k))]), D[:, mine], own
 
     def transitions(self, start: float, step: float, count: int) -> Array:
-        """Returns `LoopTransfer.from_sample_to_sample`: the loop of `sampled_loop_transfer`, by powers of one exponential.
+        """Returns `LoopTransfer.from_sample_to_sample`: the loop of `LoopModel`, by powers of one exponential.
 
         A discrete law counts as its continuous counterpart here, at its own sample period, too.
         """
@@ -215,29 +218,3 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
             now = now @ by
             made[i] = now
     return made
-
-
-def sampled_loop_transfer(
-    vehicle: Vehicle,
-    controller: Controller,
-    period: float,
-    actuators: Sequence[int] | None = None,
-    exponential: Callable[[Array], Array] = linalg.expm,
-) -> tuple[Array, Array, Array]:
-    """Returns Phi, Gamma and G of the loop from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i].
-
-    The others' forces are sampled and held, too.
-
-    Args:
-        vehicle: the vehicle; sampling and delay of its `[implementation]` do not count.
-        period: sample period [s].
-        actuators: actuators that are cut; None for all.
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
-    """
-    loop = sampled(vehicle, controller, period)
-    actuators = range(loop.forces) if actuators is None else actuators
-    Phi, Gamma = held_inputs(loop.model.A, period, exponential, loop.model.B)
-    m, others = loop.forces, [i for i in range(loop.forces) if i not in actuators]
-    if len(loop.hold):
-        Phi, Gamma = Phi + Gamma[:, m:] @ loop.kept, Gamma[:, :m] + Gamma[:, m:] @ loop.hold
-    return Phi + Gamma[:, others] @ loop.asked[others], Gamma[:, actuators], loop.asked[actuators]

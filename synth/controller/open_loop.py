@@ -4,10 +4,14 @@ A law with states is a static gain on a larger vehicle: its states are integrato
 Then every formula of a loop that is closed by a gain holds for any law. Continuous, v = A_c x_c + B_c y. Sampled every T seconds,
 v = ((A_d - I) x_c + B_d y) / T is held meanwhile, which takes x_c to A_d x_c + B_d y exactly.
 
+A law for study may measure heights over the datum of a flat road, which contain that of the road. In continuous time the road's
+height then acts by the law, too. Sampled, it acts as it is at the sample.
+
 A measured acceleration contains the force. In continuous time that loop is solved. A sampled reading is taken before the new
 force acts: y = C x + D u, with the previous u, which is a state too.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,15 +88,29 @@ def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
     return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
 
 
+def heights_read(cut: OpenLoop, controller: Controller) -> Array:
+    """Returns the effect of the road's heights on all inputs, by heights over the datum of a flat road that are measured.
+
+    Its shape is (m + k, r).
+    """
+    return cut.reading @ cut.model.Cr[[cut.model.outputs.index(name) for name in controller.measured]]
+
+
 def continuous(vehicle: Vehicle, controller: Controller) -> OpenLoop:
     """Returns the open loop in continuous time; a discrete law as its bilinear counterpart.
+
+    What the road's heights do by the law is part of its model's Br and Cr.
 
     Raises:
         InputError: the measurements contain the force, and that loop has no solution.
     """
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
-    return _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+    cut = _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
+    felt = heights_read(cut, controller)
+    if not felt.any():
+        return cut
+    return replace(cut, model=replace(cut.model, Br=cut.model.Br + cut.model.B @ felt, Cr=cut.model.Cr + cut.model.D @ felt))
 
 
 def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop:
@@ -138,14 +156,10 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:previous]]
     larger = replace(
         model,
-        A=np.block([[model.A, np.zeros((n, more))], [np.zeros((more, n + more))]]),
-        B=np.block([[model.B, np.zeros((n, more))], [np.zeros((more, m)), np.eye(more)]]),
-        Bw=np.vstack([model.Bw, np.zeros((more, model.Bw.shape[1]))]),
-        Br=np.vstack([model.Br, np.zeros((more, model.Br.shape[1]))]),
-        Bl=np.vstack([model.Bl, np.zeros((more, len(model.loads)))]),
-        Bt=np.vstack([model.Bt, np.zeros((more, model.Bt.shape[1]))]),
-        C=np.hstack([model.C, np.zeros((len(model.C), more))]),
-        D=np.hstack([model.D, np.zeros((len(model.D), more))]),
+        A=linalg.block_diag(model.A, np.zeros((more, more))),
+        B=linalg.block_diag(model.B, np.eye(more)),
+        **{name: np.pad(getattr(model, name), ((0, more), (0, 0))) for name in ("Bw", "Br", "Bl", "Bt")},
+        **{name: np.pad(getattr(model, name), ((0, 0), (0, more))) for name in ("C", "D")},
         states=(*model.states, *names),
         inputs=(*model.inputs, *(f"rate_of_{name}" for name in names)),
     )
@@ -207,11 +221,13 @@ class LoopModel:
         vehicle: vehicle with the controller's implementation.
         controller: controller of the loop.
         timestep: timestep of the run [s].
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
     """
 
     vehicle: Vehicle
     controller: Controller
     timestep: float
+    exponential: Callable[[Array], Array] = linalg.expm
 
     @cached_property
     def steps(self) -> int:
@@ -236,7 +252,19 @@ class LoopModel:
     @cached_property
     def closed_loop(self) -> SampledClosedLoop:
         """The closed loop as implemented."""
-        return _implemented(self.open_loop, self.vehicle.implementation, self.timestep)
+        return _implemented(self.open_loop, self.vehicle.implementation, self.timestep, self.exponential)
+
+    def cut(self, actuators: Sequence[int] | None = None) -> tuple[Array, Array, Array]:
+        """Returns Phi, Gamma and G of the loop from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i].
+
+        Args:
+            actuators: actuators that are cut, whose force u is not v; None for all. The others' forces are sampled and held, too.
+        """
+        closed, asked = self.closed_loop, self.open_loop.asked
+        these = list(range(len(asked)) if actuators is None else actuators)
+        G = np.pad(asked, ((0, 0), (0, len(closed.transition) - asked.shape[1])))[these]
+        Gamma = closed.added[:, these]
+        return closed.transition - Gamma @ G, Gamma, G
 
     @cached_property
     def radius(self) -> float:
@@ -244,7 +272,7 @@ class LoopModel:
         return sampled_growth(self.closed_loop.transition) ** (1 / self.steps)
 
 
-def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> SampledClosedLoop:
+def _implemented(cut: OpenLoop, how: Implementation, timestep: float, exponential: Callable[[Array], Array]) -> SampledClosedLoop:
     intervals = steps_held(how, timestep)
     n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
     force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
@@ -259,7 +287,7 @@ def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> Sampled
     transition, added = np.zeros((size, size)), np.zeros((size, m + k))
     transition[:n] = np.eye(n, size)
     for part in parts:
-        Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, linalg.expm, cut.model.B)
+        Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, exponential, cut.model.B)
         transition[:n] = Phi @ transition[:n] + Gamma @ part.inputs
         added[:n] = Phi @ added[:n] + Gamma @ part.feedthrough
     if rest:

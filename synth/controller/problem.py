@@ -5,6 +5,14 @@ loads on the body, which are disturbances beside the road, and its actuators' la
 
 An integral that z weighs is a state of the plant, and measured by whoever measures what it is of: a law integrates its readings
 as the plant does. So the first states of such a law are those of the plant, and its loop has them once (`integral_action.py`).
+
+A law for study measures heights over the datum of a flat road. These contain the road's height z_r, which acts through the law:
+
+    x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
+
+of the loop. With xi = x + A^-1 E z_r this is xi' = A xi + (B + A^-1 E) w, z = C xi + D w + (F - C A^-1 E) z_r. So there is a norm
+if F = C A^-1 E: no lasting height of the road shows in z. It is then the norm of a loop of as many states. If the road has a
+filter that is 0 at 0 rad/s, z_r is a sum of the filter's states, which the law measures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +27,10 @@ from models.kinds.linear_model import LinearModel
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle
+from synth.analysis.certificate import Certificate, certify
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import Norm
+from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.augmented import System, append, gain, on_larger_plant, with_weights
 from synth.plant.generalized import Feedback, GeneralizedPlant
 
@@ -36,6 +48,9 @@ class JudgedLoop:
         by_itself: the plant without the law's states.
         states: names of its states.
         law_states: number of the law's states behind them.
+        lasting: the closed loop with the heights of the roads as its last states, if a lasting height shows in z: the loop then
+            has no finite norm. None for others.
+        shows: entries of z in which a lasting height shows.
     """
 
     plant: GeneralizedPlant
@@ -43,6 +58,20 @@ class JudgedLoop:
     by_itself: GeneralizedPlant
     states: tuple[str, ...]
     law_states: int
+    lasting: GeneralizedPlant | None = None
+    shows: tuple[int, ...] = ()
+
+    @property
+    def loop(self) -> GeneralizedPlant:
+        """The closed loop from w to z."""
+        return self.lasting or self.plant.closed_loop(self.G)
+
+    def certificate(self, X: Array | None = None, eta: float | None = None, lower_bound: LowerBound | None = None) -> Certificate:
+        """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
+        if self.lasting is None:
+            return certify(self.plant, self.G, X, eta, lower_bound, by_itself=self.by_itself)
+        found = certify(self.plant, self.G, lower_bound=lower_bound, by_itself=self.by_itself)
+        return replace(found, loop=self.lasting, norm=Norm(np.inf, np.nan, np.inf, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +89,9 @@ class Problem:
         integrals: states of the plant that are integrals, by index.
         measured_integrals: integrals that are measured, in the order of `integrated`.
         states: names of the plant's states.
+        of_heights: gain from the roads' heights to the measurements, shape (q, r), if these are integrals of the plant's
+            disturbance `rates`; None if no height over a datum is measured, or the heights are among the plant's states.
+        rates: the rates of the heights by states and disturbances of the plant.
     """
 
     plant: GeneralizedPlant
@@ -71,6 +103,8 @@ class Problem:
     integrals: tuple[int, ...] = ()
     measured_integrals: tuple[int, ...] = ()
     states: tuple[str, ...] = ()
+    of_heights: Array | None = None
+    rates: tuple[Array, Array] | None = None
 
     @property
     def state_measurements(self) -> list[int]:
@@ -107,7 +141,8 @@ class Problem:
         law = law.continuous()
         if not self.integrals:
             larger, G = on_larger_plant(self.plant, self.Cy, law.fed_back(self.feedthrough), self.Dyw)
-            return JudgedLoop(larger, G, self.plant, self.states, law.states)
+            judged = JudgedLoop(larger, G, self.plant, self.states, law.states)
+            return judged if self.of_heights is None else self._over_datum(judged, self.of_heights)
         from synth.controller.integral_action import integrators_of, on_integrals, settled
 
         kept = integrators_of(law, self.integrated)
@@ -124,6 +159,34 @@ class Problem:
         p = self.plant
         base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
         return JudgedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
+
+    def _over_datum(self, judged: JudgedLoop, of_heights: Array) -> JudgedLoop:
+        """Returns the loop of a law that measures heights; unchanged if it is not stable."""
+        from synth.controller.integral_action import RETURNS
+
+        assert self.rates is not None, "they come with the heights"
+        plant, loop = judged.plant, judged.loop
+        if not is_stable(beside_weights(self.plant, loop.A)):
+            return judged
+        (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
+        C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
+        read = judged.G.K[:, : len(of_heights)] @ of_heights
+        E, F = plant.B @ read, plant.D @ read
+        inverse = np.linalg.inv(loop.A)
+        shift, size = inverse @ E, np.abs(F) + np.abs(loop.C) @ np.abs(inverse) @ np.abs(E)
+        left = np.abs(F - loop.C @ shift)
+        if np.all(left <= RETURNS * size):
+            return replace(judged, plant=replace(plant, A=plant.A + shift @ C.T, Bw=plant.Bw + shift @ D.T))
+        lasting = GeneralizedPlant(
+            A=np.block([[loop.A, E], [C.T, np.zeros((k, k))]]),
+            B=np.zeros((n + k, 0)),
+            Bw=np.vstack([loop.Bw, D.T]),
+            C=np.hstack([loop.C, F]),
+            D=np.zeros((len(F), 0)),
+            Dw=loop.Dw,
+        )
+        shows = np.flatnonzero(np.any(left > RETURNS * size, axis=1)).tolist()
+        return replace(judged, lasting=lasting, shows=tuple(shows))
 
 
 def problem(
@@ -155,13 +218,19 @@ def problem(
         of_loads[:, : model.Dw.shape[1]] = model.Dw[rows]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
-                "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
+                "an unsprung_acceleration is measured, which contains the road's velocity because of tyre_damping, and that "
                 "velocity has a filter in [performance] road; omit one of the three"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
+    of_heights = rates = None
+    if np.any(model.Cr[rows]):
+        more, by_twist, of_heights, rates = _heights_read(vehicle, model, rows, plant)
+        Cy, of_loads = Cy + more, of_loads + by_twist
     states = plant_states(vehicle, hardware.bandwidth)
     mine, weighed = (tuple(states.index(name) for name in some) for some in (integrated, vehicle.integrals))
-    posed = Problem(plant, Cy, through, of_loads if np.any(of_loads) else None, forces, S, weighed, mine, states)
+    posed = Problem(
+        plant, Cy, through, of_loads if np.any(of_loads) else None, forces, S, weighed, mine, states, of_heights, rates
+    )
     if not any(hardware.noise):
         return posed
     noisy = [i for i, rms in enumerate(hardware.noise) if rms]
@@ -169,6 +238,36 @@ def problem(
     Dyw = np.hstack([of_loads, np.eye(q, len(measured)) @ np.diag(hardware.noise)[:, noisy]])
     wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
     return replace(posed, plant=wide, Dyw=Dyw)
+
+
+def _heights_read(
+    vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: GeneralizedPlant
+) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
+    """Returns what measured heights add to Cy and Dyw, and `of_heights` and `rates` of a problem.
+
+    The warp of the road, a disturbance of its own, is part of the heights; the rest of them is the integral of the velocities.
+    """
+    Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
+    by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
+    (C, D), held = road_rates(vehicle, plant), np.zeros((r, len(plant.A)))
+    if road is not None and not all(above[-1] for above, _ in road.sections):
+        A = road.realisation.A
+        states = slice(len(held[0]) - len(C) * len(A), len(held[0]) - (len(C) - r) * len(A))
+        held[:, states] = C[:r, states] @ np.kron(np.eye(r), np.linalg.inv(A))
+    integral = None if held.any() else by_height
+    return by_height @ held + by_twist @ C[r:], by_twist @ D[r:], integral, (C[:r], D[:r])
+
+
+def road_rates(vehicle: Vehicle, plant: GeneralizedPlant) -> tuple[Array, Array]:
+    """Returns the gain to the road's velocities, and then its warps, of a plant's states and of its disturbances."""
+    model, road = vehicle.linear_model, vehicle.road_filter
+    roads, n = len(model.disturbances) + len(road_twist_inputs(model)), len(plant.A)
+    C, D = np.zeros((roads, n)), np.eye(roads, plant.Bw.shape[1])
+    if road is None:
+        return C, D
+    of_filters = np.kron(np.eye(roads), road.realisation.C)
+    C[:, n - of_filters.shape[1] :] = of_filters
+    return C, D * road.realisation.D
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
@@ -277,7 +376,7 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
     """Raises an InputError for a weighted height that no norm bounds, or that the warp of the road moves."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
-        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which feels the road's twist, has no norm; give 0")
+        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which responds to road warp, has no norm; give 0")
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
             f"[performance] {signal} is a height over the datum of a flat road, which a road of bounded velocity moves without "

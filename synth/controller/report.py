@@ -16,9 +16,9 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm
+from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rate_digits
 from synth.analysis.stability import MARGINAL
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
@@ -38,12 +38,26 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay."""
+    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay.
+
+    It is None, too, for a stable loop of a law for study that lets a lasting height of the road show in z, or measures its warp.
+    """
     if vehicle.implementation.undelayed:
         return None
-    from synth.controller.implementation_norm import norm_as_implemented
+    from synth.analysis.sampled_norm import stable
+    from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
 
+    if not has_sampled_norm(vehicle, controller) and stable(sampled_loop(vehicle, controller, timestep)):
+        return None
     return norm_as_implemented(vehicle, controller, timestep)
+
+
+def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
+    """Returns False for a stable loop without a norm, and for measured heights with the warp of the road, which has no energy."""
+    model, norm = vehicle.linear_model, controller.certificate.norm.value
+    heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
+    warped = np.abs(model.Cr[heights] @ road_twist_inputs(model).T).max(initial=0.0) > HELD
+    return not (warped or (controller.certificate.stable and math.isinf(norm)))
 
 
 def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNorm | None, tuple[str, ...]]:
@@ -81,13 +95,6 @@ def built_words(vehicle: Vehicle) -> str:
     """Returns the linear parts of an implementation, which its norm takes into account, in words."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
-
-
-def sampled_lines(vehicle: Vehicle) -> list[str]:
-    """Returns the explanation of the column "sampled" in a table of norms, if it has one."""
-    if vehicle.implementation.undelayed:
-        return []
-    return [f"The column sampled is the norm of the sampled-data loop, with the motion between samples: {built_words(vehicle)}."]
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
@@ -129,12 +136,6 @@ def remaining_false_claims(vehicle: Vehicle, controller: Controller, wrong: tupl
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns a note if only sampling makes the loop stable."""
     return tuple(f"without a computer its loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
-
-
-def relative_difference_text(value: float, other: float) -> str:
-    """Returns the difference of two values in words, in percent of the other."""
-    share = value / other - 1
-    return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
 
 
 def false_norm(
@@ -189,27 +190,18 @@ def sign_note(controller: Controller) -> str:
 
     if not any(gains.get(name, 0.0) > 0 for gains in pid_gains(controller.law) for name in GAINS):
         return ""
-    return (
-        "; a positive kp, ki or kd gives a force that lifts the body, and so pushes with an extension: "
-        "against it gains are negative"
-    )
+    return "; with a positive kp, ki or kd the force lifts the body and so increases an extension: gains against it are negative"
 
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the second disturbance, road twist, if the vehicle has one."""
-    model = vehicle.linear_model
-    if not len(road_twist_inputs(model)):
-        return []
-    axes = {
-        "roll": "roll_centre_height_front",
-        "pitch": "pitch_centre_height",
-    }  # of a body whose weight feels how the road stands
+    count, rate = len(road_twist_inputs(vehicle.linear_model)), rate_digits(vehicle.linear_model.twist_rate)
+    # The weight of a body with a roll or a pitch axis acts by the road's inclination.
+    axes = {"roll": "roll_centre_height_front", "pitch": "pitch_centre_height"}
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
-    felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
-    return [
-        "The disturbance w is the road's velocity under every wheel and the height of its "
-        f"{listing(felt)}: 1 m counts as {model.twist_rate:.4g} m/s."
-    ]
+    felt += ["twist"] if count > len(felt) else []
+    text = f"The disturbance w is the road's velocity under every wheel and the height of its {listing(felt)}"
+    return [f"{text}: 1 m counts as {rate} m/s."] if count else []
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
@@ -231,31 +223,29 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
 
 OF = "Bound, norm and poles are those of"
 IDLE_INTEGRAL = (
-    "its integral is a pole at 0 that stays in the loop, as no constant force changes what it measures for long, or it moves no "
-    "force; so there is no finite norm"
+    "its integral leaves a pole at 0 in the loop: no constant force changes the integrated signal permanently, or no force uses "
+    "the integral; so there is no finite norm"
 )
+HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
 
 
 def _has_idle_integral(controller: Controller) -> bool:
     """Returns True if a pole at 0 of a law is one of the loop that it closes."""
     law, where = controller.law, controller.certificate.stability
     at_rest = 0.0 if law.sample_period is None else 1.0
-    held = bool(np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= HELD * (1 + np.abs(law.A).max(initial=0.0))))
-    return held and where.verdict == MARGINAL and bool(np.any(where.rates[where.on_axis] <= HELD * (1 + where.rates.max())))
-
-
-HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
+    held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= HELD * (1 + np.abs(law.A).max(initial=0.0)))
+    return bool(held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= HELD * (1 + where.rates.max())))
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """Returns notes on a law that is unstable by itself, its small margins, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
-    winds = " and winds up where forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
-    notes = [f"this law is unstable by itself (+{margins.growth:.4g} 1/s){winds}"] if margins.growth else []
+    winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
+    notes = [f"this law is unstable by itself (+{rate_digits(margins.growth)} 1/s){winds}"] if margins.growth else []
     notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
-        follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"
+        follows = f"when forces are clipped, its states follow the clipped forces at {rate:g} 1/s or faster"
         notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")
     return notes
 
@@ -272,44 +262,45 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
     texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
     states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
-    poles = "; their poles are in every loop, no control moves them, and they are left out" if states else ""
+    poles = "; poles of filters are in every loop and independent of control, and are not listed" if states else ""
     lines = [f"norms are of {', '.join(texts)}{poles}"]
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
-        lines.append(
-            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented omit it"
-        )
+        lines.append(f"designs that measure {names} have its integral as a state; norms as implemented omit the integral")
     return lines
 
 
-FEEDBACK_ALONE = "norm, bound and poles are of its feedback alone; the road ahead moves no pole and changes no margin"
+STUDY = "for study only: no sensor on a car measures its heights over the datum of a flat road"
+
+
+def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
+    """Returns notes on a law for study: that no car can have it, and why it has no finite norm, if so."""
+    if not vehicle.linear_model.over_datum(controller.measured):
+        return []
+    shows = controller.problem(vehicle).judged(controller.law).shows if isinstance(controller, Controller) else ()
+    names = listing([vehicle.weighted[i].name for i in shows])
+    return [STUDY, *[f"no finite norm: a lasting height of the road leaves a lasting {names}"] * bool(shows)]
+
+
+FEEDBACK_ALONE = "norm, bound and poles are those of its feedback alone; the preview changes no pole and no margin"
 
 
 def judged_lines(controller: Controller) -> list[str]:
     """Returns notes on what a controller's norm and bounds include and leave out: noise, loads, lag, preview, a transform."""
     measured, hardware = controller.measured, controller.hardware
-    pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
-    noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
-    texts = []
-    if controller.preview is not None:
-        texts.append(FEEDBACK_ALONE)
-    if noise:
-        texts.append(
-            f"norm and bounds count noise, too: an rms of {noise} weighs as much as 1 m/s of road velocity, before any filter of "
-            "it"
-        )
-    if hardware.loads:
-        loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
-        texts.append(
-            f"norm and bounds count loads, too: {loads} each weigh as much as 1 m/s of road velocity, before any filter of it; a "
-            "norm as implemented, and one that sim.sweep measures, knows no loads"
-        )
+    noise = ", ".join(f"{rms:g} on {name}" for name, rms in zip(measured, hardware.noise, strict=bool(hardware.noise)) if rms)
+    loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
+    as_road = "as much as 1 m/s of road velocity, before any filter of it"
+    texts = [FEEDBACK_ALONE] if controller.preview is not None else []
+    texts += [f"norm and bounds include noise: an rms of {noise} counts {as_road}"] if noise else []
+    if loads:
+        omit = "a norm as implemented, and one that sim.sweep measures, include no loads"
+        texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
-        texts.append("the law is discrete: norm, bounds and poles are of the continuous law whose Tustin transform it is")
+        texts.append("the law is discrete: norm, bounds and poles are those of the continuous law whose Tustin transform it is")
     if hardware.bandwidth is not None:
-        texts.append(
-            f"norm, bounds and poles include the actuators' lag, {hardware.bandwidth:g} rad/s; z weighs the commanded force"
-        )
+        lag = f"the actuators' lag, {hardware.bandwidth:g} rad/s"
+        texts.append(f"norm, bounds and poles include {lag}; z weights the commanded force")
     return texts
 
 
@@ -319,17 +310,18 @@ def notes(controller: Controller) -> tuple[str, ...]:
         *judged_lines(controller),
         *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),
     ]
-    if controller.state_step_gap > SHORT:
-        gap = percent(controller.state_step_gap)
-        texts.append(f"from an X {gap} short of the best state feedback; from the best there is no design")
-    if controller.optimum_gap > SHORT:
-        gap = percent(controller.optimum_gap)
-        texts.append(f"bound {gap} short of the optimum, which only a gain beyond any actuator reaches")
-    elif controller.moved > SETTLED:
+    steps = controller.steps
+    if steps is not None and steps.state_step_gap > SHORT:
+        gap = percent(steps.state_step_gap)
+        texts.append(f"designed from an X {gap} short of the best state feedback; the best X leads to no design")
+    if steps is not None and steps.optimum_gap > SHORT:
+        gap = percent(steps.optimum_gap)
+        texts.append(f"its bound is {gap} above the optimum, which only gains beyond any actuator reach")
+    elif steps is not None and steps.moved > SETTLED:
         texts.append(
-            f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
-            "that its digits are not those of the optimum; the norm and its bound hold for it as it is"
+            f"gain not settled: over the last step of its path it moved by {percent(steps.moved)} of its largest entry, so "
+            "its digits are not those of the optimum; norm and bound hold for the printed gain"
         )
     if controller.redundant:
-        texts.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
+        texts.append(f"redundant: {', '.join(controller.redundant)} follows from the other signals and has no gain")
     return tuple(texts)

@@ -142,7 +142,7 @@ def sampled_margins(Phi: Array, Gamma: Array, G: Array, period: float) -> Margin
     with the same crossovers and the same disk margin, at other frequencies.
 
     Args:
-        Phi, Gamma, G: loop from sample to sample, see `sampled_loop_transfer`.
+        Phi, Gamma, G: loop from sample to sample, see `LoopModel.cut`.
         period: sample period [s].
     """
     inverse = np.linalg.inv(np.eye(len(Phi)) + Phi)
@@ -183,7 +183,7 @@ def gain_crossings(loop: LoopTransfer) -> list[float]:
 
 
 def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
-    """The same for the loop that is sampled, and holds the force between; arguments as `sampled_loop_transfer` returns them."""
+    """The same for the loop that is sampled, and holds the force between; arguments as `LoopModel.cut` returns them."""
     M, n = Gamma @ G, len(Phi)
     if n > MOST_QUADRATIC:
         return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), FACTORS)

@@ -23,6 +23,7 @@ from models.common.printed import percent
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import digits, rate_digits
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.two_step import (
     LARGEST_GAIN,
@@ -68,12 +69,14 @@ def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
     """
     entry = float(np.abs(steps.gain).max(initial=0.0))
     if largest_gain < LARGEST_GAIN and entry > largest_gain:
-        return f"they lead to a gain of {entry:.4g}, and {largest_gain:g} is the largest allowed"
+        return f"they lead to a gain of {rate_digits(entry)}, and {largest_gain:g} is the largest allowed"
     gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"they come to {steps.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
+    return (
+        f"they come to {digits(steps.certificate.norm.value)}{far}, as their X feeds back the states of filters, which y has not"
+    )
 
 
 @numerics()
@@ -175,13 +178,13 @@ def near_lower_bound(
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"the two steps come to {design.certificate.norm.value:.7g}{far}; descent from there"
+    came = f"the two steps come to {digits(design.certificate.norm.value)}{far}; descent from there"
     lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
     stopped = f"; {work.text}" if work.over else ""
     if lower is None:
         return design, f"{came} finds no lower norm{stopped}"
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
-        at = f"{lower.certificate.norm.value:.7g} with poles beyond any actuator"
+        at = f"{digits(lower.certificate.norm.value)} with poles beyond any actuator"
         return design, f"{came} comes to {at}, so that the gain of the two steps is kept{stopped}"
     return lower, f"{came} lowers it, for a gain {growth:.3g} times as large{stopped}"
 

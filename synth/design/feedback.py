@@ -15,7 +15,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
-from models.common.printed import Shown, percent
+from models.common.printed import percent
+from models.document.document import Document
+from models.document.figure import Figure
+from models.document.text import Shown, facts
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, read_law_structure
@@ -24,6 +27,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
+from synth.analysis.specification import digits
 from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
@@ -76,21 +80,22 @@ class FeedbackDesign(Shown):
             InputError: the law has states.
         """
         if self.law.states:
-            raise InputError(f"the law has {states_text(self.law)}, so that no gain alone is the controller; take its law")
+            raise InputError(f"the law has {states_text(self.law)}, so no gain alone is the controller; use its law")
         return self.law.D
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns law, method, reason and certificate as text."""
-        title, proved = self.certificate.shown
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
-        value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
-        value |= {"sampled lower bound": f"{self.sampled_lower_bound:.7g}"} if self.sampled_lower_bound is not None else {}
-        remark = {"remark": self.remark} if self.remark else {}
-        return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **remark}
+        value = {self.criterion: digits(self.value)} if self.criterion != "norm" else {}
+        value |= {"sampled lower bound": digits(self.sampled_lower_bound)} if self.sampled_lower_bound is not None else {}
+        rows = {**law, **value, **self.certificate.claims, "why": self.why, "remark": self.remark}
+        return facts(f"feedback by {self.method}, {self.certificate.shown.title}", rows)
 
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + self.certificate.figure
+    @property
+    def drawn(self) -> tuple[Figure, ...]:
+        """The gain of the closed loop."""
+        return self.certificate.drawn
 
 
 def _law_shown(law: LinearLaw) -> dict[str, str]:
@@ -187,13 +192,13 @@ def design_feedback(
     check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
     asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
-        raise InputError(f"{WHERE} delay = {delay:g} samples, and there is no sample_period; give it, in seconds")
+        raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample_period; give it in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
-        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} goes with structure = "pid", which is designed; give both')
+        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} needs structure = "pid"; give both')
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain goes with a static gain of the least norm alone; omit it, or give goals "
+            f"{WHERE} largest_gain applies only to a static gain of the least norm; omit it, or give goals "
             'bounds = [{"gain": ...}]'
         )
     law_structure = asked.structure({"order": order} | own) if of_law else None
@@ -243,7 +248,7 @@ def _distance(certificate: Certificate) -> str:
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller beats its norm"
     if certificate.gap is not None:
-        return f"its norm is {percent(certificate.gap)} above {certificate.lower_bound:.7g}, which no controller beats"
+        return f"its norm is {percent(certificate.gap)} above {digits(certificate.lower_bound)}, which no controller beats"
     return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
 
 
@@ -356,7 +361,7 @@ class _Asked:
         check_continuous(self.plant)
         if self.Dyw is not None:
             raise InputError(
-                f"{WHERE} Dyw with sample_period: noise between samples is not read; give noise, the rms of each reading"
+                f"{WHERE} Dyw with sample_period: noise between samples has no effect; give noise, the rms of each reading"
             )
         from synth.design.static import bounded_work
 

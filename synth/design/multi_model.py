@@ -103,7 +103,7 @@ def slack_design(
     """
     Cys, allowed = _checked(plants, Cys, structure, f)
     n, m = plants[0].B.shape
-    fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "those with a slack variable are solved")
+    fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "the one with a slack variable")
     rows = independent_rows(plants[0], Cys[0])
     problem = _Problem(plants, [Cy[rows] for Cy in Cys], allowed[:, rows])
     candidates: list[tuple[float, float, float, Array]] = []
@@ -152,7 +152,7 @@ def _checked(
         if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
             raise InputError(
                 f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, the first n = {len(plants[0].A)}, "
-                f"m = {plants[0].B.shape[1]} and q = {len(checked[0])}; one gain needs plants that are alike in these"
+                f"m = {plants[0].B.shape[1]} and q = {len(checked[0])}; a common gain needs the same n, m and q for all plants"
             )
     (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):

@@ -29,6 +29,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
+from synth.analysis.specification import digits
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
@@ -129,7 +130,7 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     before = norm_of(problem, K, near)
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
-        raise DesignError("the sampled loop is not stable, or its norm is that within a period; there is nothing to refine")
+        raise DesignError("the sampled loop is unstable, or its norm occurs within one period; there is nothing to refine")
     rows = independent_rows(plant, problem.rows)
     few = problem.of(rows)
     start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
@@ -149,9 +150,8 @@ def check_size(problem: SampledDataProblem) -> None:
     (n, m), late = problem.plant.B.shape, problem.remembered
     if n + m * late > MOST_STATES:
         raise TooLargeError(
-            f"forces of {late} samples on their way make it {n + m * late} states, and the sampled loop is designed for with at "
-            f"most {MOST_STATES}; omit sampled = true, for the continuous design runs at any delay, or give a longer sample "
-            "period or a shorter delay"
+            f"a delay of {late} samples gives the loop {n + m * late} states, and sampled designs allow at most {MOST_STATES}; "
+            "omit sampled = true (a continuous design runs with any delay), or give a longer sample period or a shorter delay"
         )
 
 
@@ -255,8 +255,8 @@ def _gain(
         quietly = not problem.noise.size
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
-        further = f"{which} to {least:.7g}" if least < norm else f"descent from them to {reached:.7g}"
-        why = f"they come to {norm:.7g}, and {further}" if quietly else "they know no noise"
+        further = f"{which} to {digits(least)}" if least < norm else f"descent from them to {digits(reached)}"
+        why = f"they come to {digits(norm)}, and {further}" if quietly else "they know no noise"
     else:
         if K is not None:
             failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
@@ -316,7 +316,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
     """
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
-    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")
+    fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two-step method for sampled loops")
     level, path = _level(problem, state_path, near)
     if len(rows) == size:
         return np.linalg.solve(rows.T, path[-1].K.T).T, level
@@ -333,7 +333,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
         if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
             return point.K, reached
         tries.failures.insert(
-            0, DesignError(f"the loop of its gain does not keep the level {reached:.7g}: rounding ends it there")
+            0, DesignError(f"the loop of its gain does not keep the level {digits(reached)}: rounding ends it there")
         )
     raise tries.failures[0]
 
@@ -425,7 +425,9 @@ def _level(
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
+    raise DesignError(
+        f"the level of the sampled loop was not found in {ROUNDS} rounds, between {digits(below)} and {digits(above)}"
+    )
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import Shown
+from models.document.document import Document
+from models.document.text import Shown, facts
 from models.laws.linear import gain_text
 from synth.analysis.certificate import FASTEST, Certificate, certify
 from synth.analysis.lower_bound import LowerBound
@@ -211,11 +212,11 @@ class Design(Shown):
     instead: str = ""
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
-        """Returns gain and certificate as text."""
-        title, proved = self.certificate.shown
+    def shown(self) -> Document:
+        """Returns gain and certificate as a document."""
+        proved = self.certificate.shown
         words = {"case": self.case, "instead": self.instead}
-        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in words.items() if text}
+        return facts(f"design, {proved.title}", {"gain": gain_text(self.gain), **self.certificate.claims, **words})
 
 
 @numerics()
@@ -353,7 +354,7 @@ def two_step_design(
             K = np.linalg.solve(measured.T, on_rows.T).T
             best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
             return with_redundant_rows(best, kept, len(Cy), 0.0)
-    fits(unknowns(problem.plant), MOST, "the two steps are gone")
+    fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
     own, Q = units.into(problem.plant), nullspace(rows)
     failures: list[DesignError] = []

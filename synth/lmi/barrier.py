@@ -39,7 +39,7 @@ class Barrier:
             LinAlgError: the blocks have fewer entries than there are unknowns, so the minimum is not unique.
         """
         if sum(len(F0) * (len(F0) + 1) // 2 for F0, _ in blocks) < len(blocks[0][1]):
-            raise np.linalg.LinAlgError("some change of the unknowns changes no constraint")
+            raise np.linalg.LinAlgError("the constraints do not determine every unknown")
         sizes = tuple(len(F0) for F0, _ in blocks)
         parts = [((size,), block) for size, block in zip(sizes, blocks, strict=True)]
         if sum(sizes) <= TOGETHER:
@@ -68,7 +68,7 @@ class Barrier:
         G = np.concatenate(rows, axis=1)
         squares = np.einsum("ij,ij->i", G, G)
         if not squares.all():
-            raise np.linalg.LinAlgError("some change of the unknowns changes no constraint beyond rounding")
+            raise np.linalg.LinAlgError("the constraints do not determine every unknown, to rounding")
         scale = 1 / np.sqrt(squares)
         triangle = lapack.dgeqrf((G * scale[:, None]).T, lwork=PANEL * len(p), overwrite_a=1)[0][: len(p)]
         return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)

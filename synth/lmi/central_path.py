@@ -135,7 +135,7 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
-    fits(unknowns(plant, Q.shape[1]), MOST_BORDERED if step else MOST, "the central path is followed")
+    fits(unknowns(plant, Q.shape[1]), MOST_BORDERED if step else MOST, "the central path")
     with one_thread():
         try:
             path = _Path(plant, Q, R, step)
@@ -162,7 +162,7 @@ def _put_back(part: UnobservableReduction, point: CentralPoint) -> CentralPoint:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
     except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises a ValueError for NaN and infinity
-        raise DesignError(f"rounding prevents an X of the states unobservable in z ({error}); give other units") from error
+        raise DesignError(f"rounding prevents an X for the states unobservable in z ({error}); give other units") from error
 
 
 def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
@@ -173,9 +173,11 @@ def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
 
 
 def fits(count: int, most: int, what: str) -> None:
-    """Raises a TooLargeError if there are more unknowns than `what` allows."""
+    """Raises a TooLargeError if there are more unknowns than the method, `what`, takes."""
     if count > most:
-        raise TooLargeError(f"the LMI problem has {count} unknowns, and {what} with at most {most}; take states out of the model")
+        raise TooLargeError(
+            f"the LMI problem has {count} unknowns, and {what} takes at most {most}; remove states from the model"
+        )
 
 
 class _Path:

@@ -144,7 +144,7 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         raise InputError("the denominator of a filter is zero; give its coefficients, of the highest power of s first")
     if len(above) > len(below):
         raise InputError(
-            f"a filter's numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it would differentiate; "
+            f"a filter has a numerator of degree {len(above) - 1} and a denominator of {len(below) - 1}: it would differentiate; "
             "give it a denominator of no lower degree"
         )
     if len(below) == 1:
@@ -161,7 +161,9 @@ def series(first: System, second: System) -> System:
         InputError: the first has not as many outputs as the second has inputs.
     """
     if len(first.D) != second.D.shape[1]:
-        raise InputError(f"a system of {len(first.D)} outputs feeds one of {second.D.shape[1]} inputs; give as many")
+        raise InputError(
+            f"a system with {len(first.D)} outputs cannot feed one with {second.D.shape[1]} inputs; give equal numbers"
+        )
     n, k = len(first.A), len(second.A)
     return System(
         A=np.block([[first.A, np.zeros((n, k))], [second.B @ first.C, second.A]]),
@@ -190,7 +192,7 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
     r, d = disturbances, controlled
     if np.any(system.D[d:, r:]):
         raise InputError(
-            "u goes straight through to y; give the actuator a lag, or measure what the force does not change at once"
+            "the force changes a measured signal instantly; give the actuator a lag, or measure signals that do not jump with it"
         )
     plant = GeneralizedPlant(system.A, system.B[:, r:], system.B[:, :r], system.C[:d], system.D[:d, r:], system.D[:d, :r])
     return plant, system.C[d:], system.D[d:, :r]

@@ -146,7 +146,7 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
     if lost(best) <= LOST:
         raise InputError(
-            "the plant has a pole at z = -1 that no gain from what is measured moves; take it out of the model, or add an "
+            "the plant has a pole at z = -1 that no feedback of the measured signals moves; take it out of the model, or add an "
             "actuator that acts on it or a measurement that it shows in"
         )
     return best

@@ -94,10 +94,10 @@ class GeneralizedPlant:
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
-                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, zeros if nothing acts there")
+                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, zeros if nothing acts there")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
-            raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
+            raise InputError(f"weights = {self.weights} exceed the {size['n']} states; give at most {size['n']}")
         if self.beyond is not None:
             check_shape("beyond", check("beyond", self.beyond, Array), (size["n"] + size["d"], size["n"]), "as A and C are")
 
@@ -216,22 +216,20 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 def check_states(n: int) -> None:
     """Raises an InputError if a plant has no state; parts that are split off a plant need none."""
     if not n:
-        raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
+        raise InputError("A has shape (0, 0), a plant without states; give at least one")
 
 
 def check_inputs(plant: GeneralizedPlant) -> None:
     """Raises an InputError if a plant has no state or no input, where nothing can be designed."""
     check_states(len(plant.A))
     if not plant.B.shape[1]:
-        raise InputError("B has no columns, a plant without an input, where no gain acts; give it the column of each force")
+        raise InputError("B has no columns, a plant without inputs; give one column for each force")
 
 
 def check_continuous(plant: GeneralizedPlant) -> None:
     """Raises an InputError for a discrete plant, if a formula holds for continuous ones only."""
     if plant.dt is not None:
-        raise InputError(
-            f"the plant is discrete (dt = {plant.dt:g}), and this is done for continuous ones alone; give such a one"
-        )
+        raise InputError(f"the plant is discrete (dt = {plant.dt:g}), but this function needs a continuous plant; give one")
 
 
 def check_posed(plant: GeneralizedPlant) -> None:

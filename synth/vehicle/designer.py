@@ -27,7 +27,6 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
-    from models.laws.law_structure import LawStructure
     from synth.vehicle.refined import RefinedController
 
 
@@ -41,26 +40,21 @@ def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
 
-NOT_REFINED = "and what is refined is a static gain, which has none; omit --refine"
+NOT_REFINED = "and --refine changes static gains, which have no integral; omit --refine"
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
     """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
     beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
-    return Controller(
-        entry.name,
-        entry.measured,
+    return Controller.of(
+        entry,
         posed.on_readings(static_law(design.gain).fed_back(-posed.feedthrough)),
-        designed=True,
-        certificate=design.certificate,
-        state_step_gap=design.state_step_gap,
-        optimum_gap=design.optimum_gap,
-        moved=design.moved,
+        design.certificate,
+        steps=design,
         redundant=redundant,
-        degeneracy="; ".join(said for said in (design.case, beside) if said),
+        degeneracy="; ".join(filter(None, (design.case, beside))),
         fallback_method=design.instead,
-        hardware=entry.hardware,
     )
 
 
@@ -96,8 +90,13 @@ class SharedDesignData:
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
-        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback."""
+        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback.
+
+        For heights over the datum, it is the bound of any measurements.
+        """
         key = tuple(measured), noise
+        if self.vehicle.linear_model.over_datum(measured):
+            return self.beyond_control
         if key not in self._bounds:
             posed = self.problem(*key)
             Cy, Dyw = posed.select_rows(posed.state_measurements)
@@ -125,7 +124,7 @@ class Designer:
 
     def __repr__(self) -> str:
         """Returns the kind and the file of its vehicle."""
-        return f"Designer of {self.vehicle.shown[0]}"
+        return f"Designer of {self.vehicle.shown.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
@@ -227,7 +226,12 @@ class Designer:
 
                 return full_order_sampled_design(self.vehicle, entry, posed, lower_bound, self._sampled_bound(entry))
             if entry.design:
-                return self._for_errors(entry, self._named(entry, posed, lower_bound, on_progress), on_progress)
+                controller = self._named(entry, posed, lower_bound, on_progress)
+                if entry.errors is None:
+                    return controller
+                from synth.vehicle.weighted_errors import is_robust_design, robust_controller
+
+                return robust_controller(self.vehicle, entry, controller, on_progress) if is_robust_design(entry) else controller
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
@@ -241,16 +245,6 @@ class Designer:
             return self._in_two_steps(entry, posed, lower_bound, zero_l)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
-
-    def _for_errors(
-        self, entry: ControllerEntry, controller: Controller, on_progress: Callable[[float, bool], None]
-    ) -> Controller:
-        """Returns a controller designed for its weighted errors, if its design handles them; otherwise unchanged."""
-        if entry.errors is None:
-            return controller
-        from synth.vehicle.weighted_errors import is_robust_design, robust_controller
-
-        return robust_controller(self.vehicle, entry, controller, on_progress) if is_robust_design(entry) else controller
 
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
@@ -298,59 +292,34 @@ class Designer:
     def _named(
         self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]
     ) -> Controller:
-        """Returns a controller that is designed in another way than by two steps."""
-
-        def on_found(law: LinearLaw) -> None:
-            from synth.analysis.norm import hinf_norm
-
-            plant, feedback = posed.closed_loop(law if by_force else on_readings(law, posed))
-            on_progress(hinf_norm(plant.closed_loop(feedback)).value, True)
-
-        by_force = entry.structure is not None and entry.structure.rows is not None
-        if by_force and entry.structure is not None:
-            return self._structured(entry, entry.structure, posed, lower_bound, on_found)
-        return self._on_states(entry, posed, lower_bound, on_found)
-
-    def _on_states(
-        self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_found: Callable[[LinearLaw], None]
-    ) -> Controller:
-        """Returns a controller that is designed on C_y x by one of the named methods."""
+        """Returns a controller that is designed in another way than by two steps: with a structure by force, or on C_y x."""
+        from synth.analysis.norm import hinf_norm
+        from synth.design.fixed_order.fixed_order import fixed_order_design
         from synth.design.full_order.by_name import named_design
         from synth.vehicle.quadratic import preview_controller, white_noise
+
+        structure, as_run = entry.structure, partial(on_readings, posed=posed)
+        by_force = structure is not None and structure.rows is not None
+
+        def on_found(law: LinearLaw) -> None:
+            plant, feedback = posed.closed_loop(law if by_force else as_run(law))
+            on_progress(hinf_norm(plant.closed_loop(feedback)).value, True)
 
         if entry.design == PREVIEW:
             found = preview_controller(self.vehicle, entry, posed)
             return replace(found, certificate=replace(found.certificate, below=lower_bound))
-        hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
-        states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
-        as_run = partial(on_readings, posed=posed)
-        designed = named_design(
-            *(entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found),
-            fastest_pole=entry.fastest_pole,
-        )
-        law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
-        certificate = replace(designed.certificate, below=lower_bound)
-        return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
-
-    def _structured(
-        self,
-        entry: ControllerEntry,
-        structure: "LawStructure",
-        posed: Problem,
-        lower_bound: LowerBound,
-        on_found: Callable[[LinearLaw], None],
-    ) -> Controller:
-        """Returns a controller whose law on the measurements themselves has a structure, separately for each force."""
-        from synth.design.fixed_order.fixed_order import fixed_order_design
-
-        states, through = self.shared(entry.hardware).states, posed.feedthrough
-        found = fixed_order_design(
-            posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable, on_found=on_found
-        )
-        law = replace(found.law, anti_windup=entry.anti_windup)
-        return Controller(
-            entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware
-        )
+        states = self.shared(entry.hardware).states
+        if structure is not None and by_force:
+            given = posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, posed.feedthrough, entry.stable
+            found = fixed_order_design(*given, on_found=on_found)
+            law, certificate = found.law, found.certificate
+        else:
+            Cy, Dyw = posed.select_rows(posed.state_measurements)
+            noise = white_noise(self.vehicle, entry, posed)
+            given = entry.design, structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found
+            found = named_design(*given, fastest_pole=entry.fastest_pole)
+            law, certificate = as_run(found.law), replace(found.certificate, below=lower_bound)
+        return Controller.of(entry, replace(law, anti_windup=entry.anti_windup), certificate, remarks=found.remarks)
 
     @at_the_door
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
@@ -367,10 +336,10 @@ class Designer:
         entry = self._entry(name)
         measured = entry.measured
         if not measured:
-            raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
+            raise InputError(f"controller {name!r} measures nothing, so it has no gain to refine; give another controller")
         check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
         if self.vehicle.integrals:
-            raise DesignError(f"controller {entry.name!r}: [performance] weighs an integral, {NOT_REFINED}")
+            raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")
         try:
             start = self.design(name, zero_l)
         except DesignError:

@@ -15,12 +15,11 @@ from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import Specification
+from synth.analysis.specification import Specification, digits
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
-from synth.design.multi_objective.design import MultiObjectiveDesign, improved_goal
+from synth.design.multi_objective.design import improved_goal
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MeasuredPlant, MultiObjectiveProblem
@@ -125,8 +124,8 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"{where}: {pushed[0]!r} has the road's velocity in it, by the damping of the tyre, and no peak or energy of it is "
-            "bounded; omit it, or tyre_damping"
+            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so it has no bounded peak or energy; "
+            "omit the signal or tyre_damping"
         )
 
 
@@ -135,13 +134,13 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.signal)]):
         raise InputError(
-            f"{where}: {bound.signal!r} has the road's height in it, which no energy of its velocity bounds; give another "
-            "signal, or its peak over a road"
+            f"{where}: {bound.signal!r} contains the road's height, which the energy of its velocity does not bound; give "
+            "another signal, or its peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
-            f"{where} is an energy_peak, which is of the road alone, and [controllers.{entry.name}] has noise = true; leave "
-            "one out"
+            f"{where} is an energy_peak, for roads without noise, and [controllers.{entry.name}] has noise = true; omit one "
+            "of them"
         )
     _refuse_pushed(where, vehicle, (bound.signal, *entry.measured))
     c, g = measurements(vehicle, [bound.signal], bandwidth)
@@ -158,11 +157,11 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; omit them")
+        raise InputError(f"{where} has loads, and a bound on a peak is for the road alone; omit the loads")
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
-        raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
+        raise InputError(f"{where} has no end and therefore no largest value; give a bump, a step, a hump or a pothole")
     return road
 
 
@@ -182,43 +181,23 @@ def goals_design(
     # Said of every family, minimised where that is asked for.
     bests = with_individual_optima(problem) if goals.family else problem
     design = run_search(bests if goals.over == REGRET else problem, on_progress)
-    controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
-    cost = () if goals.structure is None else cost_of_structure(problem, design, on_progress)
-    return replace(controller, remarks=(*controller.remarks, *cost))
-
-
-def _controller(
-    vehicle: Vehicle,
-    entry: ControllerEntry,
-    goals: Goals,
-    posed: Problem,
-    lower_bound: LowerBound,
-    problem: MultiObjectiveProblem,
-    design: MultiObjectiveDesign,
-) -> Controller:
-    """Returns the controller of a gain, certified, with the specifications that it keeps."""
     law = static_law(design.gain)
     certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
-    return Controller(
-        entry.name,
-        entry.measured,
-        law,
-        designed=True,
-        certificate=certificate,
-        remarks=(*remarks(design), *_beside(goals, certificate)),
-        hardware=entry.hardware,
-        specifications=Verification(vehicle, entry, goals, problem, design.gain).promises(),
-    )
-
-
-def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
-    """Returns a note if a norm in a band is minimised and no bound limits the norm outside the band."""
-    if not goals.minimise.narrow or any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
-        return ()
-    return (
-        f"nothing bounds what lies beside its band, where the norm is {certificate.norm.value:.7g}; "
-        "give bounds = [{ norm = ... }]",
-    )
+    said = [*remarks(design)]
+    if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
+        said.append(
+            f"no bound limits the norm outside its band, where it is {digits(certificate.norm.value)}; "
+            "give bounds = [{ norm = ... }]"
+        )
+    if goals.structure is not None and not np.all(problem.structure):
+        full = replace(problem, structure=np.ones_like(problem.structure))
+        goal = improved_goal(full, design, on_progress)  # which descends from the design for a limited number of rounds
+        said.append(
+            f"its structure costs at least {percent(design.goal / goal - 1)}: a gain with every entry comes to {digits(goal)}, "
+            "and may come further"
+        )
+    promises = Verification(vehicle, entry, goals, bests, design.gain).promises()
+    return Controller.of(entry, law, certificate, remarks=tuple(said), specifications=promises)
 
 
 def verify_specifications(
@@ -236,20 +215,3 @@ def verify_specifications(
     if search and goals.over == REGRET:
         problem = with_individual_optima(problem)
     return Verification(vehicle, entry, goals, problem, law.D).promises()
-
-
-def cost_of_structure(
-    problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = lambda goal, within: None
-) -> tuple[str, ...]:
-    """Returns a note on the cost of a structure, compared with a full gain; empty if the structure is full.
-
-    Args:
-        problem: the problem, with the structure.
-        design: design of the controller, from which the full gain descends for a limited number of rounds.
-        on_progress: callback that receives the progress of the full gain.
-    """
-    if np.all(problem.structure):
-        return ()
-    goal = improved_goal(replace(problem, structure=np.ones_like(problem.structure)), design, on_progress)
-    cost = percent(design.goal / goal - 1)
-    return (f"its structure costs at least {cost}: a gain with every entry comes to {goal:.7g}, and may come further",)

@@ -7,6 +7,7 @@ Remark 5: in [19] controller I was found by a genetic algorithm. Its kind of sea
 asks for nothing but the norm of a gain, within a box that has to be given, and what it finds depends on box and seed.
 """
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -52,51 +53,37 @@ class Printed:
     reason: str
 
 
-PRINTED = (
-    Printed("(40)", "G_s", (0, 0), 1.1810e4, 1e0, EXACT),
-    Printed("(40)", "G_s", (0, 1), 0.2333e4, 1e0, EXACT),
-    Printed("(40)", "G_s", (0, 2), -0.1096e4, 1e0, SHORT),
-    Printed("(40)", "G_s", (0, 3), 0.0109e4, 1e0, EXACT),
-    Printed("(41)", "gamma_Gs", None, 7.8365, 1e-4, EXACT),
-    Printed("(42)", "X_s", (0, 0), 0.5965, 1e-4, SHORT),
-    Printed("(42)", "X_s", (0, 1), -0.0020, 1e-4, EXACT),
-    Printed("(42)", "X_s", (0, 2), -0.5075, 1e-4, SHORT),
-    Printed("(42)", "X_s", (0, 3), -0.0085, 1e-4, EXACT),
-    Printed("(42)", "X_s", (1, 1), 0.0020, 1e-4, EXACT),
-    Printed("(42)", "X_s", (1, 2), 0.0020, 1e-4, EXACT),
-    Printed("(42)", "X_s", (1, 3), -0.0081, 1e-4, EXACT),
-    Printed("(42)", "X_s", (2, 2), 0.7659, 1e-4, SHORT),
-    Printed("(42)", "X_s", (2, 3), -0.0015, 1e-4, EXACT),
-    Printed("(42)", "X_s", (3, 3), 8.0713, 1e-4, SHORT),
-    Printed("(48)", "L_I", (0, 0), -0.0025, 1e-4, EXACT),
-    Printed("(48)", "L_I", (0, 1), 0.0009, 1e-4, EXACT),
-    Printed("(48)", "L_I", (1, 0), -0.0364, 1e-4, EXACT),
-    Printed("(48)", "L_I", (1, 1), -0.0261, 1e-4, SHORT),
-    Printed("(49)", "R_I", (0, 0), 1.0, 1e-4, EXACT),
-    Printed("(49)", "R_I", (0, 1), 0.0, 1e-4, EXACT),
-    Printed("(49)", "R_I", (1, 0), -0.0025, 1e-4, EXACT),
-    Printed("(49)", "R_I", (1, 1), 0.0009, 1e-4, EXACT),
-    Printed("(49)", "R_I", (2, 0), 0.0, 1e-4, EXACT),
-    Printed("(49)", "R_I", (2, 1), 1.0, 1e-4, EXACT),
-    Printed("(49)", "R_I", (3, 0), -0.0364, 1e-4, EXACT),
-    Printed("(49)", "R_I", (3, 1), -0.0261, 1e-4, SHORT),
-    Printed("(50)", "K_I", (0, 0), 1.0824e4, 1e0, SHORT),
-    Printed("(50)", "K_I", (0, 1), -0.2071e4, 1e0, SHORT),
-    Printed("(51)", "G_I", (0, 0), 1.0824e4, 1e0, SHORT),
-    Printed("(51)", "G_I", (0, 1), 0.0, 1e0, EXACT),
-    Printed("(51)", "G_I", (0, 2), -0.2071e4, 1e0, SHORT),
-    Printed("(51)", "G_I", (0, 3), 0.0, 1e0, EXACT),
-    Printed("(52)", "gamma_GI", None, 7.8432, 1e-4, EXACT),
-    Printed("(56)", "L_II", (0, 0), 0.0026, 1e-4, EXACT),
-    Printed("(56)", "L_II", (1, 0), -0.6627, 1e-4, SHORT),
-    Printed("(56)", "L_II", (2, 0), -0.0019, 1e-4, EXACT),
-    Printed("(57)", "R_II", (0, 0), -0.6627, 1e-4, SHORT),
-    Printed("(57)", "R_II", (1, 0), 0.0026, 1e-4, EXACT),
-    Printed("(57)", "R_II", (2, 0), 1.0, 1e-4, EXACT),
-    Printed("(57)", "R_II", (3, 0), -0.0019, 1e-4, EXACT),
-    Printed("(58)", "K_II", (0, 0), -8.9703e3, 1e-1, SHORT),
-    Printed("(59)", "G_II", (0, 2), -8.9703e3, 1e-1, SHORT),
-    Printed("(60)", "gamma_GII", None, 7.9068, 1e-4, EXACT),
+NOT = math.nan  # an entry that is not printed, or follows by symmetry
+# Equation, symbol, unit of the last printed digit, value or matrix, and the entries of which the paper's solver stopped short.
+_RESULTS = (
+    ("(40)", "G_s", 1e0, [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]], [(0, 2)]),
+    ("(41)", "gamma_Gs", 1e-4, 7.8365, []),
+    (
+        *("(42)", "X_s", 1e-4),
+        [
+            [0.5965, -0.0020, -0.5075, -0.0085],
+            [NOT, 0.0020, 0.0020, -0.0081],
+            [NOT, NOT, 0.7659, -0.0015],
+            [NOT, NOT, NOT, 8.0713],
+        ],
+        [(0, 0), (0, 2), (2, 2), (3, 3)],
+    ),
+    ("(48)", "L_I", 1e-4, [[-0.0025, 0.0009], [-0.0364, -0.0261]], [(1, 1)]),
+    ("(49)", "R_I", 1e-4, [[1.0, 0.0], [-0.0025, 0.0009], [0.0, 1.0], [-0.0364, -0.0261]], [(3, 1)]),
+    ("(50)", "K_I", 1e0, [[1.0824e4, -0.2071e4]], [(0, 0), (0, 1)]),
+    ("(51)", "G_I", 1e0, [[1.0824e4, 0.0, -0.2071e4, 0.0]], [(0, 0), (0, 2)]),
+    ("(52)", "gamma_GI", 1e-4, 7.8432, []),
+    ("(56)", "L_II", 1e-4, [[0.0026], [-0.6627], [-0.0019]], [(1, 0)]),
+    ("(57)", "R_II", 1e-4, [[-0.6627], [0.0026], [1.0], [-0.0019]], [(0, 0)]),
+    ("(58)", "K_II", 1e-1, [[-8.9703e3]], [(0, 0)]),
+    ("(59)", "G_II", 1e-1, [[NOT, NOT, -8.9703e3, NOT]], [(0, 2)]),
+    ("(60)", "gamma_GII", 1e-4, 7.9068, []),
+)
+PRINTED = tuple(
+    Printed(equation, quantity, entry or None, float(value), digit, SHORT if entry in short else EXACT)
+    for equation, quantity, digit, values, short in _RESULTS
+    for entry, value in np.ndenumerate(values)
+    if not np.isnan(value)
 )
 
 

@@ -1,20 +1,16 @@
 """A controller of a vehicle file with the smallest mean square, from Riccati equations: LQR, LQG, H2, or preview LQ."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from models.common.errors import InputError
 from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
+from synth.analysis.specification import digits
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
 from synth.design.full_order.preview import preview_design
-from synth.design.full_order.quadratic import (
-    AT_ONCE,
-    state_rows,
-)
+from synth.design.full_order.quadratic import AT_ONCE, state_rows
 from synth.plant.numerics import DesignError
 
 
@@ -29,7 +25,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     how = vehicle.implementation
     if entry.design == "lqg" and how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
         raise DesignError(
-            "LQG takes noise as white noise of rms times root of sample_period, and [implementation] gives noise without "
+            "LQG uses white noise of intensity rms times sqrt(sample_period), and [implementation] has noise without "
             "sample_period; give both, or neither"
         )
     rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
@@ -51,7 +47,7 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         state_rows(posed.plant, Cy)
     except DesignError:
         raise InputError(
-            f"controller {entry.name!r}: a preview is of the measured state, and no sensor reads the states of filters in "
+            f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of filters in "
             "[performance]; give constant weights, integrals of deflections, or another design"
         ) from None
     design = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
@@ -61,8 +57,8 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
         ahead = RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)
     best = (
-        f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {design.h2_norm:.7g}, and {design.without:.7g} "
-        f"without, the rms of z where road velocity is white noise of intensity one{AT_ONCE if np.any(posed.plant.Dw) else ''}"
+        f"smallest mean square of z with the road {entry.preview:g} s ahead: H2 norm {digits(design.h2_norm)}, and "
+        f"{digits(design.without)} without it, the rms of z if road velocity is white noise of intensity 1"
+        f"{AT_ONCE if np.any(posed.plant.Dw) else ''}"
     )
-    made = Controller(entry.name, entry.measured, law, True, design.certificate, remarks=(best,), hardware=entry.hardware)
-    return replace(made, preview=ahead)
+    return Controller.of(entry, law, design.certificate, remarks=(best,), preview=ahead)

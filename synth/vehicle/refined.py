@@ -67,8 +67,7 @@ def refined(
         *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
     )
     law = static_law(gain).fed_back(-posed.feedthrough)
-    controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)
-    return RefinedController(controller, start, origin, refinement)
+    return RefinedController(Controller.of(entry, law, certificate), start, origin, refinement)
 
 
 def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:

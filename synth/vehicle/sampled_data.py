@@ -11,6 +11,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.specification import digits
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem
 from synth.controller.problem import Problem, plant_states
@@ -39,7 +40,7 @@ def sampled_design(
     with contextlib.suppress(DesignError):
         known = [ideal().law.D]
     designed = held_design(held, lower_bound.gamma or 1.0, known)
-    level = f", whose norm the LMI promises to be at most {designed.level:.7g}" if designed.level is not None else ""
+    level = f", whose norm the LMI promises to be at most {digits(designed.level)}" if designed.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
     controller = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
     return replace(
@@ -91,13 +92,4 @@ def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound,
         certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"the law for the sampled loop has no ideal loop: {error}") from error
-    return Controller(
-        entry.name,
-        entry.measured,
-        law,
-        designed=True,
-        certificate=certificate,
-        remarks=(remark,),
-        hardware=entry.hardware,
-        sampled=True,
-    )
+    return Controller.of(entry, law, certificate, remarks=(remark,), sampled=True)

@@ -219,7 +219,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     from control import StateSpace, ss
 
     judged, hardware = controller.problem(vehicle).judged(controller.law), controller.hardware
-    loop = judged.plant.closed_loop(judged.G)
+    loop, heights = judged.loop, [wheel.road_displacement for wheel in vehicle.kind.wheels] if judged.lasting else []
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
     loads = [f"load[{name}]" for name, _ in hardware.loads]
@@ -231,7 +231,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
         loop.C,
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
-        states=[*judged.states, *(f"controller_{k}" for k in range(1, judged.law_states + 1))],
+        states=[*judged.states, *(f"controller_{k}" for k in range(1, judged.law_states + 1)), *heights],
         inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *loads, *noise],
         outputs=list(outputs),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.common.arrays import Array
+from models.document.field import Field
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import static_law
 from models.vehicle.controllers import ControllerEntry
@@ -32,6 +33,9 @@ from synth.plant.numerics import DesignError
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
 NEAR = 1.01  # times what is met: a bound that is so close needs no other
+FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")
+ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
+TIME = Field[float]("time", float, ".4g", unit="s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,22 +107,27 @@ class Verification:
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
         """A norm over the family without errors, and with the worst ones."""
         of = [_norm(member.posed[spec.which], self.K, spec) for member in self.asked.members]
-        i = int(np.argmax([value for value, _, _ in of]))
-        value, proved, at = of[i]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
-        where = ", ".join(text for text in (self.names[i], f"at {at:.5g} rad/s" if np.isfinite(at) else "") if text)
-        specifications = [
-            Specification(what, value, max(each for _, each, _ in of), None if self.asked.has_errors else at_most, where=where)
-        ]
+        at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
+        alone = self.most(what, [each[:2] for each in of], None if self.asked.has_errors else at_most, at=at)
         if not self.asked.has_errors:
-            return specifications
-        wholes = self.worst(spec)
-        i = int(np.argmax([whole.lower for whole in wholes]))
-        names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
-        off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
-        where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
-        proved = max(whole.upper for whole in wholes)
-        return [*specifications, Specification(f"{what}, with errors", wholes[i].lower, proved, at_most, where=where)]
+            return [alone]
+        wholes, names = self.worst(spec), (*self.entry.measured, *self.vehicle.linear_model.inputs)
+        off = [zip(names, (*each.errors.sensors, *each.errors.forces), strict=True) for each in wholes]
+        at = [", ".join(f"{name} {ERROR.text(error)}" for name, error in errors if error) for errors in off]
+        return [alone, self.most(f"{what}, with errors", [(each.lower, each.upper) for each in wholes], at_most, at=at)]
+
+    def most(
+        self, what: str, of: Sequence[tuple[float, float]], at_most: float | None = None, unit: str = "", at: Sequence[str] = ()
+    ) -> Specification:
+        """Returns the specification of the largest of the members' values, each with a proved bound.
+
+        Args:
+            at: place of each value within its member, in words; empty for none.
+        """
+        i = int(np.argmax([value for value, _ in of]))
+        where = ", ".join(filter(None, (self.names[i], at[i] if at else "")))
+        return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where)
 
     def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
@@ -127,23 +136,17 @@ class Verification:
             of = [(each.lower, each.upper) for each in self.worst(problem.minimise)]
         else:
             of = [_norm(member.posed[0], self.K, problem.minimise)[:2] for member in problem.members]
-        ratios = [value / best for (value, _), best in zip(of, bests, strict=True)]
-        i = int(np.argmax(ratios))
-        upper = max(proved / best for (_, proved), best in zip(of, bests, strict=True))
         with_errors = ", with errors" if problem.has_errors else ""
-        return Specification(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
+        ratios = [(value / best, proved / best) for (value, proved), best in zip(of, bests, strict=True)]
+        return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios)
 
     def worst(self, spec: NormSpecification) -> list[WorstCase]:
         """The norm of every member with the worst errors."""
         if spec not in self.known:
             whole = spec.band == EVERYWHERE
-            self.known[spec] = [self.worst_whole(i, spec) if whole else self.worst_in_band(i, spec) for i in range(self.count)]
+            members = range(len(self.asked.members))
+            self.known[spec] = [self.worst_whole(i, spec) if whole else self.worst_in_band(i, spec) for i in members]
         return self.known[spec]
-
-    @property
-    def count(self) -> int:
-        """Number of members of the family."""
-        return len(self.asked.members)
 
     def worst_whole(self, i: int, spec: NormSpecification) -> WorstCase:
         """The norm of a member at all frequencies with the worst errors."""
@@ -210,20 +213,15 @@ class Verification:
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
             except DesignError:  # unstable
                 of.append((np.inf, np.inf))
-        i = int(np.argmax([value for value, _ in of]))
-        unit = self.vehicle.kind.signal(bound.signal).unit
         what = f"largest {bound.signal} for roads of {bound.energy:g} m2/s"
-        return Specification(what, of[i][0], max(proved for _, proved in of), bound.at_most, unit, self.names[i])
+        return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.signal).unit)
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
         """The largest magnitude of a signal over a road."""
         of = [peak_over_road(member.driven_by[which], self.K) for member in self.asked.members]
-        i = int(np.argmax([peak.value for peak in of]))
-        what = f"largest {bound.signal} over {bound.road}"
-        where = ", ".join(text for text in (self.names[i], f"{of[i].time:.4g} s after its start") if text)
-        return Specification(
-            what, of[i].value, max(peak.proved for peak in of), bound.at_most, self.vehicle.kind.signal(bound.signal).unit, where
-        )
+        at = [f"{TIME.text(peak.time)} after its start" for peak in of]
+        values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.signal).unit
+        return self.most(f"largest {bound.signal} over {bound.road}", values, bound.at_most, unit, at)
 
 
 def member_text(i: int, member) -> str:

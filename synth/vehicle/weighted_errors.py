@@ -91,17 +91,6 @@ def robust_controller(
 
         return design
 
-    def with_law(found: RobustDesign) -> Controller:
-        if not found.turns:
-            return nominal
-        law = replace(found.law, anti_windup=entry.anti_windup)
-        certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
-        remark = (
-            f"designed for the least robust performance (mu), by turns with scales of its errors; the law of the least norm, "
-            f"{digits(nominal.certificate.norm.value)}, has {digits(first.gamma)}"
-        )
-        return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
-
     first = RobustDesign(nominal.law, structured_bound(structured.closed_by(nominal.law)).gamma)
     best = [first]
 
@@ -113,7 +102,15 @@ def robust_controller(
     full = robust_design(structured, designs(FULL, None), first, on_turn)
     if entry.structure is not None:
         robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
-    return with_law(best[0])
+    if not best[0].turns:
+        return nominal
+    law = replace(best[0].law, anti_windup=entry.anti_windup)
+    certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
+    remark = (
+        f"designed for the smallest robust performance (mu), alternately with the scales of its errors; the law with the "
+        f"smallest norm, {digits(nominal.certificate.norm.value)}, has {digits(first.gamma)}"
+    )
+    return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
 
 
 def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> StructuredPlant:
@@ -142,14 +139,10 @@ def _of_added_force(
     B[: len(model.A)] = model.B
     if not other and not sums:
         return B, D
-    weights = {signal: vehicle.performance[signal] for signal in other}
-    rest = replace(vehicle, performance=weights, filters=_of(vehicle, other), sums=sums)
+    weights, filters = ({name: by[name] for name in other if name in by} for by in (vehicle.performance, vehicle.filters))
+    rest = replace(vehicle, performance=weights, filters=filters, sums=sums)
     plant, names = generalized_plant(rest, bandwidth), plant_states(vehicle, bandwidth)
     B[[names.index(name) for name in plant_states(rest, bandwidth)]] = plant.B
     rows = [one.name for one in vehicle.weighted]
     D[[rows.index(one.name) for one in rest.weighted]] = plant.D
     return B, D
-
-
-def _of(vehicle: Vehicle, signals: list[str]) -> dict[str, Filter]:
-    return {signal: one for signal, one in vehicle.filters.items() if signal in signals}

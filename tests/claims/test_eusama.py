@@ -54,17 +54,21 @@ def test_transfer_function():
     assert 8 < load.omega / (2 * math.pi) < 16  # wheel hop
 
 
+def on_rig(vehicle, end: float, step: float, angle) -> float:
+    """Returns the least load in MuJoCo, over the static one, on a plate driven as a rig's drive file with a phase angle."""
+    t = np.arange(round(end / step)) * step
+    rig = Rig(t, 3e-3 * np.sin(angle(t))[:, None], ("road",))
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], rig, sample_times(vehicle, float(t[-1]), step))
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
+    return max(0.0, 1 - run.physics["tyre_deflection"].max() / static)
+
+
 @pytest.mark.attack
 def test_as_workshops_do():
     """A plate that slows down from 25 Hz, driven in MuJoCo as a rig's drive file, leaves the load that was predicted."""
     vehicle, end = car(), 30.0
-    t = np.arange(round(end / H)) * H
-    angle = 2 * math.pi * (25 * t - 12 * t**2 / end)  # from 25 Hz down to 1 Hz
-    rig = Rig(t, 3e-3 * np.sin(angle)[:, None], ("road",))
-    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], rig, sample_times(vehicle, end, H))
-    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
-    found = 1 - run.physics["tyre_deflection"].max() / static
     ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], H)
+    found = on_rig(vehicle, end, H, lambda t: 2 * math.pi * (25 * t - 12 * t**2 / end))  # from 25 Hz down to 1 Hz
     assert found == pytest.approx(load.ratio, abs=5e-3)  # it passes the resonance, and is sampled 80 times a period
 
 
@@ -119,11 +123,7 @@ def test_outside_the_linear_regime():
     ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], h)
     assert load.ended == ("bump stop",)
     assert load_failures([load]) == []
-    t = np.arange(round(8.0 / h)) * h
-    rig = Rig(t, 3e-3 * np.sin(load.omega * t)[:, None], ("road",))
-    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], rig, t)
-    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
-    assert load.measured == pytest.approx(max(0.0, 1 - run.physics["tyre_deflection"][-8000:].max() / static), abs=5e-3)
+    assert load.measured == pytest.approx(on_rig(vehicle, 8.0, h, lambda t: load.omega * t), abs=5e-3)
     assert load.measured != pytest.approx(load.driven, abs=5e-3)
 
 

@@ -263,7 +263,7 @@ def test_a_given_law_has_a_close_bound_when_asked(vehicle, name, capsys):
     assert asked["lmi"]["proved"]
     assert asked["norm"] == plain["norm"]
     assert 0 < asked["bound"] / asked["norm"] - 1 < 1.1e-6  # the closest margin that is tried
-    assert asked["notes"] == [*plain["notes"], "its law is given; its bound is proved here"]
+    assert asked["notes"] == [*plain["notes"], "its law is from the file; its bound is proved here"]
     for row in (asked, plain):
         for key in ("bound", "lmi", "notes", "certificate"):
             del row[key]

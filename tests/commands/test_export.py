@@ -270,7 +270,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "passive"], "unknown controller 'passive'"),
         ("", [], "no controller is given"),
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
-        ("", ["--controller", "I", "--refine"], "it goes with --controller"),
+        ("", ["--controller", "I", "--refine"], "it can be combined with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
@@ -285,8 +285,8 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
             [*WHOLE, "--range", "sprung_velocity=fast"],
             "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE",
         ),
-        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is of integers"),
-        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state grows or stays for ever"),
+        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integers"),
+        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state does not decay"),
     ],
 )
 def test_what_is_not_exported(vehicle, options, said, tmp_path):
@@ -347,9 +347,9 @@ def test_a_proved_peak_is_a_range(capsys, tmp_path):
 
 def test_nothing_is_overwritten(exported):
     """A folder that holds something is left as it is; --numbers is of --export alone."""
-    with pytest.raises(InputError, match="is there already, and not empty"):
+    with pytest.raises(InputError, match="exists and is not empty"):
         main(["--controller", "I", "--export", str(exported)])
-    with pytest.raises(InputError, match="--numbers is of the code"):
+    with pytest.raises(InputError, match="--numbers is for the code"):
         main(["--controller", "I", "--numbers", "float"])
 
 

@@ -516,11 +516,11 @@ def test_binaries_for_other_platforms(version, tmp_path, monkeypatch):
 def test_which_options_go_together(tmp_path):
     """Options of other files, and a controller where there is none in it, are refused in one line; the sources are all there."""
     file = str(tmp_path / "x.fmu")
-    with refused("--fmi is of an FMU"):
+    with refused("--fmi is for an FMU"):
         main(["--controller", "I", "--export", str(tmp_path / "ecu"), "--fmi", "3"])
-    with refused("--part vehicle has no controller in it"):
+    with refused("--part vehicle contains no controller"):
         main(["--controller", "I", "--part", "vehicle", "--export", file])
-    with refused("--numbers is of a controller's code"):
+    with refused("--numbers is for a controller's code"):
         main(["--part", "vehicle", "--numbers", "float", "--export", file])
     with refused("an FMU's variables are floating point"):
         check_floating("int16")

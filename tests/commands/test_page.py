@@ -7,8 +7,6 @@ import hashlib
 import itertools
 import os
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 
@@ -17,26 +15,16 @@ import pytest
 
 from models.document.description import about
 from models.document.document import Document, Table, notes
-from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, margined, styles, thinned
+from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, margined, rgb, styles, thinned
 from models.document.outputs import check_outputs
-from models.document.page import (
-    DARK,
-    GRAPHICS,
-    LIGHT,
-    TEXT,
-    Page,
-    by_night,
-    contrast,
-    ground_by_night,
-    readable,
-    render,
-)
-from models.document.picture import FONT, cells, panel_svg, ticks, write_picture
+from models.document.page import Page, render
+from models.document.picture import DARKEST, FONT, cells, panel_svg, ticks, write_picture
 from models.document.reading import Pivot, aligned, notation, read
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
 from sim.response.regime import REGIME_ENDS
+from sim.studies.validity.report import NOTHING
 from tests.support.commands import ROOT
 from tests.support.reading import number
 
@@ -103,7 +91,7 @@ def everything(names: tuple[str, ...]) -> Page:
     tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
     figures = tuple(Figure(f"f{k}", f"figure {k}", (panel,), columns=1 + k % 2) for k, panel in enumerate(panels))
     section = Document("A term", (*notes("text"), *figures, *tables))
-    return Page("title", notes(*names), Document(""), (section,))
+    return Page("title", Document("", notes(*names)), (section,))
 
 
 PAGES = {
@@ -186,13 +174,12 @@ def test_names_are_text(page):
 
 
 def test_names_from_right_to_left_keep_to_themselves():
-    """Wherever such a name is read or seen, nothing beside it changes sides: it is an element, or between isolates."""
-    text = re.sub(r"<style>.*?</style>|(?:id|aria-labelledby)=\"[^\"]*\"", "", render(everything(LEFTWARD)), flags=re.S)
+    """Wherever a page shows such a name in a sentence or a table, it is an element, so that nothing beside it changes sides."""
+    text = re.sub(
+        r"<style>.*?</style>|<svg.*?</svg>|(?:id|aria-labelledby)=\"[^\"]*\"", "", render(everything(LEFTWARD)), flags=re.S
+    )
     for name in LEFTWARD:
-        assert text.count(f"<bdi>{name}</bdi>") >= 4  # a sentence, a caption, a cell, a legend
-        assert text.count(f"\u2068{name}\u2069") >= 2  # above its bar, in the figure's words
-        assert text.count(name) == text.count(f"<bdi>{name}</bdi>") + text.count(f"\u2068{name}\u2069")
-    assert "\u2068" not in render(everything(("passive", "n" * 60, "Ω" * 40, "中" * 20)))
+        assert text.count(name) == text.count(f"<bdi>{name}</bdi>") >= 4  # a sentence, a caption, a cell, a legend
 
 
 @pytest.mark.attack
@@ -230,20 +217,6 @@ def test_the_name_that_is_given_says_what_a_picture_is(name, begins, tmp_path):
     write_picture(Figure("a", "b", (Panel("c", "x", "y", (Curve(np.arange(2.0), np.arange(2.0), "d", "#000000"),)),)), link)
     assert (tmp_path / "other.txt").read_bytes().startswith(begins)
     assert link.is_symlink()
-
-
-def test_a_picture_needs_no_backend(tmp_path):
-    """A picture is drawn whatever MPLBACKEND says, and what it says stays for the rest of the process."""
-    code = (
-        "import os, pathlib, numpy as np\nfrom models.document.figure import Curve, Figure, Panel\n"
-        "from models.document.picture import check_drawing, write_picture\ncheck_drawing()\n"
-        "one = Curve(np.arange(2.0), np.arange(2.0), 'd', '#000000')\n"
-        "write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', (one,)),)), pathlib.Path('a.PNG'))\nprint(os.environ['MPLBACKEND'])"
-    )
-    environment = os.environ | {"MPLBACKEND": "nonsense", "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert (ran.stdout, ran.stderr) == ("nonsense\n", "")
-    assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_picture_is_the_data():
@@ -346,42 +319,53 @@ def variables(block: str) -> dict[str, str]:
     return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
 
 
-def test_text_can_be_read():
-    """By day and by night every colour of text has a contrast of 4.5 against all that it stands on: WCAG 2.2, level AA."""
-    by_day = variables(CSS.split("@media", 1)[0])
-    night = by_day | variables(re.findall(r"@media screen and \(prefers-color-scheme: dark\) \{(.*?)\n\}", CSS, re.S)[0])
-    assert (by_day["ground"], night["ground"]) == (LIGHT, DARK)
-    for colors in (by_day, night):
-        for text, ground in itertools.product(("ink", "soft", "link", "holds", "ends", "fails"), ("ground", "band")):
-            assert contrast(colors[text], colors[ground]) >= TEXT, (text, ground)
+# Minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG; and what `hue-rotate(180deg)` of CSS makes of a colour.
+TEXT, GRAPHICS = 4.5, 3.0
+TURNED = np.array([[-0.574, 1.430, 0.144], [0.426, 0.430, 0.144], [0.426, 1.430, -0.856]])
 
 
-def test_lines_can_be_told_from_the_ground():
-    """Any colour of a curve has a contrast of 3 by day and by night; the paper's are their own by day, black white by night."""
+def by_night(color: str) -> str:
+    """Returns a colour of a drawing as a dark page shows it, inverted with its hue kept."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in np.clip(TURNED @ (1 - np.array(rgb(color)) / 255), 0, 1))
+
+
+def contrast(color: str, other: str) -> float:
+    """Returns the contrast ratio of two colours, from 1 to 21."""
+    parts = np.array([rgb(color), rgb(other)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    low, high = sorted(linear @ [0.2126, 0.7152, 0.0722])
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_page_can_be_read():
+    """By day and by night every colour of text has a contrast of 4.5 against its ground, and each drawn line or marker has 3.
+
+    Lines of figures stand on the page; those on maps are black. The contrast of #767676 on white is the guidelines' example.
+    """
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    rng = np.random.default_rng(5)
-    some = ["#" + "".join(f"{part:02x}" for part in rng.integers(0, 256, 3)) for _ in range(200)]
-    for color in [*(style.color for style in STYLES.values()), *OTHERS, "#ffffff", *some]:
-        assert contrast(readable(color, LIGHT), LIGHT) >= GRAPHICS
-        assert contrast(by_night(color), DARK) >= GRAPHICS
-    assert all(readable(color, LIGHT) == color for color in (*(style.color for style in STYLES.values()), *OTHERS))
-    for ground in (
-        *(to_hex(colormaps["YlOrBr"](share)) for share in np.linspace(0, 1, 9)),
-        *(end.color for end in REGIME_ENDS),
-        "#ffffff",
-    ):  # maps by night
-        assert contrast(by_night("#000000"), ground_by_night(ground)) >= GRAPHICS
-    assert contrast(by_night("#000000"), "#ffffff") < 1.05
+    assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
+    by_day = variables(CSS.split("@media", 1)[0])
+    night = by_day | variables(re.findall(r"@media screen and \(prefers-color-scheme: dark\) \{(.*?)\n\}", CSS, re.S)[0])
+    for colors in (by_day, night):
+        for text, ground in itertools.product(("ink", "soft", "link", "holds", "ends", "fails"), ("ground", "band")):
+            assert contrast(colors[text], colors[ground]) >= TEXT, (text, ground)
+    assert "filter: invert(1) hue-rotate(180deg);" in CSS
+    assert contrast(by_night("#e9e7e4"), night["ground"]) < 1.1  # white parts of drawings
+    for color in {*(style.color for style in STYLES.values()), *OTHERS}:
+        assert contrast(color, by_day["ground"]) >= GRAPHICS
+        assert contrast(by_night(color), night["ground"]) >= GRAPHICS
+    shades = (to_hex(colormaps["YlOrBr"](share)) for share in np.linspace(0, DARKEST, 9))
+    for ground in (*shades, NOTHING, *(end.color for end in REGIME_ENDS)):
+        assert min(contrast("#000000", ground), contrast(by_night("#000000"), by_night(ground))) >= GRAPHICS, ground
 
 
 def test_numbers_of_a_column_are_aligned():
-    """A column has one number of decimals where each number keeps three digits, else points align; what is rounding is 0."""
-    assert aligned(["15.37", "5.564", "0"]) == ["15.37", "5.56", "0\u2008\u2007\u2007"]
+    """Points are below each other, and every number has the digits that it has on a terminal."""
+    assert aligned(["15.37", "5.564", "0"]) == ["15.37\u2007", "5.564", "0\u2008\u2007\u2007\u2007"]
     assert aligned(["0.0481*", "0.565", "0*"]) == ["0.0481*", "0.565\u2004\u2007", "0*\u2008" + 4 * "\u2007"]
-    assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "0\u2008\u2007", "-"]
-    assert aligned(["1.4e-03", "2.0e-05"]) == ["1.4·10⁻³", "2.0·10⁻⁵"]
+    assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "−1.2·10⁻⁷", "-"]
     assert aligned(["12", "3.25", "none"]) == ["12", "3.25", "none"]
 
 
@@ -407,13 +391,6 @@ def test_tables_are_for_reading():
     assert table.reading.headings == ("signal", "I", "II")
     assert table.reading.rows == (("a [m/s²]", "0.25", "0.25"), ("b [m/s²]", "1.25", "1.25"))
     assert [tuple(row) for row in csv.reader(table.csv.splitlines())] == [table.headings, *rows]
-
-
-def test_contrast_is_that_of_the_guidelines():
-    """Black on white has 21, grey #767676 on white is the known threshold of 4.5, and the order does not matter."""
-    assert contrast("#000000", "#ffffff") == pytest.approx(21)
-    assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
-    assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
 
 
 def test_a_figure_in_words():

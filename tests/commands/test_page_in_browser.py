@@ -1,6 +1,7 @@
 """Pages as readers open them: at two widths, by day and by night, and on paper; is all of it accessible?"""
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -8,13 +9,13 @@ import pytest
 
 from sim.report.__main__ import main
 from tests.commands.test_page import PAGES, everything
-from tests.commands.test_report import BROWSER
 from tests.support.npm import installed
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
 
 PACKAGES = ("playwright-core@1.65.1", "axe-core@4.14.1")
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 READER = Path(__file__).with_name("page_in_browser.mjs")
 
 

@@ -158,7 +158,7 @@ def test_campaign(tmp_path, monkeypatch, capsys):
     assert main_of("sim.campaign")(["--verify", "campaign-results", "--runs", "1"]) == 0
     out = capsys.readouterr().out
     assert too_wide(out) == []
-    assert out.endswith("\n\nthe results hold what the campaign comes to\n")
+    assert out.endswith("\n\nthe results agree with the campaign\n")
 
 
 @pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])

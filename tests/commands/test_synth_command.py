@@ -156,16 +156,6 @@ def test_remark_4(capsys):
     assert all("no solution with eta > 0 for L = 0" in row["reason"] for row in found["controllers"])
 
 
-def test_refine_is_bounded_and_says_what_it_traded(capsys):
-    """Refined, controller I comes within 1e-4 of the best any controller could do, and does not walk to [-72240, -82631]."""
-    code, found = table(capsys, "--controller", "I", "--refine")
-    assert code == 0
-    (row,) = found["controllers"]
-    assert row["gap"] < 1e-4
-    assert max(map(abs, row["gain"][0])) < 11000
-    assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
-
-
 @pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(("half_car", "full_car"))])
 def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """The promise of the table is kept by the command that it names: each norm falls by at least as much; none for state."""
@@ -199,10 +189,17 @@ def test_what_cannot_be_refined_fails_as_it_is(tmp_path, capsys):
 
 
 def test_refine_belongs_to_the_designer(designer, capsys):
-    """`Designer.refine` is what the command prints: the gain, where it came from, what was traded."""
+    """`Designer.refine` is what the command prints: the gain, where it came from, what was traded.
+
+    Refined, controller I comes within 1e-4 of the best any controller could do, and does not walk to [-72240, -82631].
+    """
     refined = designer.refine("II")
-    _, found = table(capsys, "--controller", "II", "--refine")
-    (row,) = found["controllers"]
+    code, found = table(capsys, "--controller", "I", "--controller", "II", "--refine")
+    assert code == 0
+    first, row = found["controllers"]
+    assert first["gap"] < 1e-4
+    assert max(map(abs, first["gain"][0])) < 11000
+    assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in first["notes"])
     assert row["gain"] == refined.controller.gain.tolist()
     assert row["notes"] == [refined.traded]
     assert refined.start is not None
@@ -267,7 +264,7 @@ def test_which_loop_is_said(capsys, tmp_path, section):
 
 
 def test_save_and_check(capsys, tmp_path):
-    """A saved design reads back with a certificate that holds, and every other command drives it."""
+    """A saved design reads back with a certificate that holds, and other commands drive it. `--check` imports no solver."""
     file = tmp_path / "car.toml"
     code, saved = table(capsys, "--save", str(file))
     assert code == 0
@@ -278,6 +275,13 @@ def test_save_and_check(capsys, tmp_path):
     for claim in ("norm", "bound", "lower_bound"):
         assert after[claim] == pytest.approx(before[claim], rel=1e-12)
     assert bump(["--vehicle", str(file), "--controller", "II_designed", "--no-logs", "--duration", "0.5"]) == 0
+    code = (
+        "import sys; sys.modules['cvxpy'] = sys.modules['clarabel'] = sys.modules['control'] = None; "
+        "from synth.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--check", str(file)], capture_output=True, text=True, check=True)
+    assert "checked: every claim of its certificate holds" in prose(done.stdout)
+    assert "the file has no certificate for it" in prose(done.stdout)
 
 
 def test_check_sees_what_is_not_true(capsys, tmp_path):
@@ -299,30 +303,20 @@ def test_check_sees_what_is_not_true(capsys, tmp_path):
         assert any(message in failure for failure in found["controllers"][0]["failures"]), old
 
 
-def test_check_needs_no_solver(capsys, tmp_path):
-    """`--check` imports neither cvxpy nor a solver."""
-    table(capsys, "--controller", "I", "--save", str(tmp_path / "car.toml"))
-    code = (
-        "import sys; sys.modules['cvxpy'] = sys.modules['clarabel'] = sys.modules['control'] = None; "
-        "from synth.__main__ import main; sys.exit(main(sys.argv[1:]))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "--check", str(tmp_path / "car.toml")], capture_output=True, text=True, check=True
-    )
-    assert "checked: every claim of its certificate holds" in done.stdout
-    assert "came without a certificate" in done.stdout
-
-
-def test_no_file_of_the_users_own_is_replaced(capsys, tmp_path):
-    """`--save` replaces its own file, and an empty one, and refuses any other: here the one that --vehicle was to name."""
+def test_a_saved_file_replaces_only_its_own(capsys, tmp_path):
+    """`--save` replaces its own or an empty file, and leaves nothing else. It refuses other files, and a name that is taken."""
     own, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     own.write_text(read_vehicle("quarter_car").text)
     saved.touch()
     for _ in range(2):
         table(capsys, "--controller", "I", "--save", str(saved))
+    assert "I_designed" in read_vehicle(saved).controllers
     with refused(f"--save {own} exists and was not written by --save; give another name or remove it"):
         main(["--controller", "I", "--save", str(own)])
+    with refused("has a controller 'I_designed' already"):
+        main(["--vehicle", str(saved), "--controller", "I", "--save", str(tmp_path / "more.toml")])
     assert own.read_text() == read_vehicle("quarter_car").text
+    assert {path.name for path in tmp_path.iterdir()} == {"car.toml", "saved.toml"}
 
 
 def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
@@ -340,17 +334,6 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
     with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of other); give a file next to it"):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
-
-
-def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
-    """Nothing is left beside it, and a name that is taken is refused before anything is written."""
-    file = tmp_path / "car.toml"
-    main(["--controller", "I", "--save", str(file)])
-    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
-    assert "I_designed" in read_vehicle(file).controllers
-    with pytest.raises(InputError, match="has a controller 'I_designed' already"):
-        main(["--vehicle", str(file), "--controller", "I", "--save", str(tmp_path / "more.toml")])
-    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
 
 
 @pytest.mark.parametrize("option", [["--save", "saved.toml"], ["--export", "out"]])

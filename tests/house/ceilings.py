@@ -28,8 +28,8 @@ vehicle file, types, equations, MJCF                           4903   1403    20
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
-    tests/*/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
-    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new}.md
+    tests/*/test_{cars,heights,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
+    docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,vehicle-data}.md
 laws and families in files                                      258    349     93
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    203      0

@@ -41,7 +41,7 @@ ROOMS = {
     "synth.controller": "models models.document models.kinds models.laws models.suspension models.vehicle synth.analysis "
     "synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
-    "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
+    "synth.design": "models.document models.laws synth.analysis synth.lmi synth.plant",
     "synth.vehicle": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "synth.design synth.lmi synth.plant",
     "synth.command": "models.document models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
@@ -49,10 +49,11 @@ ROOMS = {
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
     "sim": "",
-    "sim.response": "models.kinds models.suspension models.vehicle",
+    "sim.response": "models.document models.kinds models.suspension models.vehicle",
     "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller synth.plant "
     "sim.response",
-    "sim.physics": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller sim.response",
+    "sim.physics": "models.document models.kinds models.laws models.roads models.suspension models.vehicle synth.controller "
+    "sim.response",
     "sim.runs": "models models.document models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.vehicle sim.linear sim.physics sim.response",
     "sim.recording": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "

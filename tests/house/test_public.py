@@ -92,7 +92,7 @@ def test_examples(package, name):
 
 
 def test_what_is_shown(paper, designer):
-    """A vehicle, a controller, its certificate and a run say in a few lines what they are; a notebook's table holds the same."""
+    """A vehicle, a controller, its certificate and a run say in a few lines what they are; a notebook also draws."""
     controller = designer.design("I")
     [run] = sim.run(paper, [controller], models.Bump(height=0.05), duration=1.0)
     said = {
@@ -105,13 +105,14 @@ def test_what_is_shown(paper, designer):
         assert all(part in repr(one) for part in parts)
         assert len(repr(one).splitlines()) <= 7
         root = ElementTree.fromstring(f"<div>{one._repr_html_()}</div>")  # well formed
-        table = ["".join(row.itertext()) for row in next(root.iter("table")).iter("tr")]
-        assert table == [line.strip().replace(": ", "", 1) for line in repr(one).splitlines()[1:]]
-        assert "<svg" in one._repr_html_()
-    peaks = list(ElementTree.fromstring(f"<div>{run._repr_html_()}</div>").iter("table"))[1]
-    for row in list(peaks.iter("tr"))[1::2]:
-        heading, _, physics, *_ = row.itertext()
-        assert physics == f"{run.physics.peak(heading.split()[0]):.5g}"
+        shown = ["".join(each.itertext()) for each in root.find("div") if each.tag in ("h3", "p")]
+        assert " ".join(shown).split() == repr(one).split()
+    plots = [re.findall(' id="plot-([^"-]*)-[^"]*-0"', one._repr_html_()) for one in said]
+    assert [len(some) for some in plots] == [1] * 4
+    assert len({*map(tuple, plots)}) == 4  # one notebook has many
+    for row in ElementTree.fromstring(f"<div>{run._repr_html_()}</div>").findall(".//tbody/tr")[::2]:
+        cells = ["".join(cell.itertext()) for cell in row]
+        assert float(cells[2]) == pytest.approx(run.physics.peak(cells[0].split()[0]), rel=1e-4)
     assert "<script>" not in dataclasses.replace(controller, name="<script>")._repr_html_()
     wrong = dataclasses.replace(run.physics, values=np.full_like(run.physics.values, np.nan))
     assert "<svg" in dataclasses.replace(run, physics=wrong)._repr_html_()

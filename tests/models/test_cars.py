@@ -138,7 +138,8 @@ def test_designs_are_certified_and_modest(car_designer, name):
     """Every controller is proved, close to its own optimum, far better than passive, and asks no actuator for the impossible."""
     controller, passive = car_designer.design(name), car_designer.design("passive")
     assert controller.certificate.failures == ()
-    assert controller.optimum_gap < 1e-6
+    assert controller.steps is not None
+    assert controller.steps.optimum_gap < 1e-6
     assert controller.certificate.norm.value < 0.45 * passive.certificate.norm.value
     assert np.abs(controller.gain).max() < 2e5  # N/m, N s/m: of the size of the tyre's stiffness
 
@@ -158,8 +159,30 @@ def test_gains_beyond_any_actuator_are_refused():
     text = half.text.replace("= 2e-4", "= 1e-4")
     controller = Designer(parse_vehicle(text)).design("I")
     assert controller.certificate.failures == ()
-    assert 1e-5 < controller.optimum_gap < 0.05
+    assert controller.steps is not None
+    assert 1e-5 < controller.steps.optimum_gap < 0.05
     assert controller.certificate.speed_up < 100
+
+
+def test_a_public_vehicle():
+    """The first car of the CommonRoad vehicle models has the poles of its linear equations of ride, written down here.
+
+    Their unsprung masses are those of axles, and their auxiliary roll stiffness is negative.
+    """
+    ms, pitch, roll, mu, k, c = 1094.542, 1342.259768, 244.0472306, 65.672 / 2, 21898.332429, 1459.390293
+    a, b, front, rear, kt, bar = 0.88392, 1.50876, 1.389888, 1.423416, 189785.547723, 12880.270509
+    own = {"sprung_mass": ms, "pitch_inertia": pitch, "roll_inertia": roll, "axle_distance_front": a, "axle_distance_rear": b}
+    of_axles = {"unsprung_mass": mu, "suspension_stiffness": k, "suspension_damping": c, "tyre_stiffness": kt}
+    own |= {f"{name}_{axle}": value for name, value in of_axles.items() for axle in ("front", "rear")}
+    own |= {"track_front": front, "track_rear": rear, "anti_roll_stiffness_front": bar}
+    lines = "".join(f"{name} = {value}\n" for name, value in own.items())
+    vehicle = parse_vehicle(f'type = "full_car"\n[parameters]\n{lines}[performance]\nheave_acceleration = 1.0\n')
+    T = np.column_stack([np.ones(4), [-a, -a, b, b], np.array([front, -front, rear, -rear]) / 2, -np.eye(4)])
+    turned = np.array([0, 0, 1, -1 / front, 1 / front, 0, 0])
+    M, K = np.diag([ms, pitch, roll, *[mu] * 4]), k * T.T @ T + np.diag([0, 0, 0, *[kt] * 4]) + bar * np.outer(turned, turned)
+    A = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -c * np.linalg.solve(M, T.T @ T)]])
+    poles = [np.sort_complex(np.linalg.eigvals(one).round(6)) for one in (A, vehicle.linear_model.A)]
+    assert poles[1] == pytest.approx(poles[0], abs=3e-6)
 
 
 def quarter_of(half, corner, mass):

@@ -171,6 +171,21 @@ def test_against_equations_written_out_and_integrated_by_scipy():
     assert errors[1] < 0.6 * errors[0]
 
 
+@pytest.mark.parametrize(("velocity", "force"), [
+    ([-1.056, -0.528, -0.396, -0.264, -0.132, -0.051, 0, 0.051, 0.132, 0.264, 0.396, 0.528, 1.056],
+     [-971, -744, -685, -636, -557, -286, 0, 227, 902, 1581, 1862, 2178, 4054]),
+    ([-0.832, -0.416, -0.312, -0.208, -0.104, -0.04, 0, 0.04, 0.104, 0.208, 0.312, 0.416, 0.832],
+     [-1751, -1224, -1119, -1020, -895, -415, 0, 276, 658, 961, 1224, 1507, 2652]),
+])  # fmt: skip
+def test_public_damper_tables(velocity, force):
+    """Front and rear damper of a car in DYNA4's database, extension positive as here, make a quarter-car move as SciPy says."""
+    vehicle = with_curves(suspension_damping=f"{{ velocity = {velocity}, force = {force} }}")
+    time, road = sample_times(vehicle, 0.6, 1e-3), Bump(0.05, 5.0, 12.5)
+    reference, exact = integrated_by_scipy(vehicle, road, time), sampled_response(vehicle, design(vehicle, "passive"), road, time)
+    for name, column in zip(STATES, reference.T, strict=True):
+        assert exact[name] == pytest.approx(column, abs=1e-7 * np.abs(column).max())
+
+
 LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
 BY_ACCELERATION = "[controllers.law]\nmeasured = ['sprung_acceleration', 'suspension_velocity']\ngain = [[-80.0, 100.0]]"
 DYNAMIC = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"

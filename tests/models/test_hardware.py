@@ -165,7 +165,7 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert main(["--vehicle", str(file), "--controller", "one", "--save", str(saved), "-v"]) == 0
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
-    assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
+    assert "norm and bounds include noise" in " ".join(capsys.readouterr().out.split())
     asked = ["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--duration", "0.5"]
     assert bump([*asked, "--logs", str(logs)]) == 0
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0
@@ -210,8 +210,11 @@ def test_a_law_keeps_what_it_knows():
 
 def test_what_is_not_there_is_missed():
     """Noise or lag that the file does not give is one line; so is a design that has its own, and a law without a norm."""
-    for flag, said in {"noise = true": r"\[implementation\] gives no noise of what it measures", "lag = true": r"no lag"}.items():
-        with pytest.raises(InputError, match=rf"\[controllers.one\] has {flag}, and .*{said}"):
+    for flag, said in {
+        "noise = true": r"\[implementation\] gives no noise of what it measures",
+        "lag = true": r"gives the actuators no lag",
+    }.items():
+        with pytest.raises(InputError, match=rf"\[controllers.one\] has {flag}, but .*{said}"):
             built(flag, with_what="")
     with pytest.raises(InputError, match="gives no noise of what it measures"):
         built("noise = true", with_what="[implementation]\nnoise = { unsprung_velocity = 0.1, sprung_velocity = 0.0 }\n")
@@ -222,7 +225,7 @@ def test_what_is_not_there_is_missed():
     with pytest.raises(InputError, match="law with noise = true: "):
         built("noise = true", 'law = "my_law.py:step"')
     force = "[implementation]\nnoise = { control_force = 1.0 }\n"
-    with pytest.raises(InputError, match="a noise on 'control_force', which a design takes out"):
+    with pytest.raises(InputError, match="has noise on 'control_force', which a design takes out"):
         built("noise = true", section=KINDS["accelerometer"], with_what=force)
     with pytest.raises(InputError, match="noise = true with --zero-l: "):
         Designer(built("noise = true")).design("one", zero_l=True)
@@ -253,7 +256,9 @@ def test_messages_name_the_file(tmp_path):
     file = tmp_path / "car.toml"
     alone = '[controllers.one]\nmeasured = ["sprung_acceleration"]\ngain = [[504.5]]\n'  # I - D_c D is zero
     file.write_text(built(section=alone).text)
-    with pytest.raises(InputError, match=re.escape(f"vehicle file {file}: [controllers.one] its force acts on its measurements")):
+    with pytest.raises(
+        InputError, match=re.escape(f"vehicle file {file}: [controllers.one] its force changes its own measurements")
+    ):
         main(["--vehicle", str(file), "--controller", "one"])
 
 

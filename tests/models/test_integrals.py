@@ -169,7 +169,7 @@ def test_a_saved_law_is_proved(tmp_path, car):
     asked = ("--vehicle", "car.toml", "--controller", "I", "--controller", "h2", "--save", "saved.toml")
     done = printed("synth", *asked, files={"car.toml": car.text})
     assert done.code == 0
-    assert "keep the integral as a state" in " ".join(done.out.split())
+    assert "have its integral as a state" in " ".join(done.out.split())
     assert "x_c'" not in done.out  # of which controller it is, and its numbers, say the details
     saved = {"saved.toml": (done.folder / "saved.toml").read_text(encoding="utf-8")}
     again = printed("synth", "--check", "saved.toml", *DESIGNED, files=saved)
@@ -194,7 +194,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
     [
         ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force moves"),
         ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
-        ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no further state"),
+        ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no state for it"),
         ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "not stable by itself"),
         (
             [PI],
@@ -208,7 +208,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
             'measured = ["suspension_deflection"]\n',
             "integrates the noise of suspension_deflection",
         ),
-        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is a zero, too"),
+        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is cancelled by a zero"),
         (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: its denominator has a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),

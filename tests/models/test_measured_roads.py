@@ -1,5 +1,6 @@
 """Measured roads: the start in steady motion, straight lines between points, `--from`, one road in MuJoCo and analysis."""
 
+import itertools
 import json
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import sim.linear.sampled_response
 from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.iri import roughness_of
+from models.roads.opencrg import read_surface
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import RoadInput
@@ -353,7 +355,7 @@ def test_the_start_is_remarked_where_it_counts():
         start_effect([driven(vehicle, Profile(x, z[:, None] * np.ones(2), V), time)]) for z, time in ((rough, 1), (late, 9.5))
     ]
     assert effects[0] is not None
-    assert effects[0].share > 0.02
+    assert effects[0][0] > 0.02
     assert effects[1] is None
 
 
@@ -419,6 +421,66 @@ def test_files_of_other_types(name, said, tmp_path):
         choose_road("none.dat", tmp_path)
 
 
+RDF = """! road data file
+[UNITS]
+LENGTH = 'mm'
+[MODEL]
+ROAD_TYPE = 'poly_line'  $ heights over distance
+[PARAMETERS]
+OFFSET = 0
+(XZ_DATA)
+{x zl zr}
+-9000 -1 0 $ far behind the start
+1000 4 10
+1020 -100 -100
+1031 50 50
+5000 0 0
+[OTHER]
+NUMBER = 3
+"""
+
+
+def test_poly_line(tmp_path):
+    """A road of a tyre model begins at its distance 0, in its own unit; other types and cut files are refused in one line."""
+    (tmp_path / "road.rdf").write_text(RDF)
+    profile = choose_road("road.rdf", tmp_path).build(car("full_car"), V, 0, 10.0)
+    assert isinstance(profile, Profile)
+    assert profile.distance == pytest.approx([0, 1, 1.02, 1.031, 5])
+    assert profile.heights == pytest.approx(np.array([[3.5, 9], [4, 10], [-100, -100], [50, 50], [0, 0]]) / 1e3)
+    for old, new, said in (
+        ("'poly_line'", "'sine'", "ROAD_TYPE = 'sine' is not read"),
+        ("(XZ_DATA)", "", "has no table (XZ_DATA)"),
+        ("1020 -100", "1020 x", "line 12, column 2: 'x' is not a finite number"),
+        ("'mm'", "'furlong'", "is in 'furlong'; allowed: "),
+    ):
+        (tmp_path / "road.rdf").write_text(RDF.replace(old, new))
+        with refused(said):
+            choose_road("road.rdf", tmp_path)
+
+
+def test_a_public_rough_road(tmp_path):
+    """A public road of a tyre model, sines of 0.1 m in points 0.2 m apart, is that of exact exponentials under a quarter-car."""
+    x, z = np.append([-1e4, 0.0, 40.0], 40 + 0.2 * np.arange(1, 151)), np.zeros(153)
+    z[3:] = np.round(0.1 * np.sin(0.04 * np.pi * np.arange(1, 151)), 3)
+    rows = "".join(f"{a:.3f} {b:.3f} {b:.3f}\n" for a, b in zip(x, z, strict=True))
+    (tmp_path / "rough.rdf").write_text(f"[MODEL]\nROAD_TYPE = 'poly_line'\n[UNITS]\nLENGTH = 'meter'\n(XZ_DATA)\n{rows}")
+    vehicle, time = car("quarter_car"), np.arange(0, 4.6, 1e-3)
+    road = choose_road("rough.rdf", tmp_path).build(vehicle, 15.0, 0, 69.0)
+    ms, mu, ks, cs, kt = vehicle.parameters.values()
+    A = np.zeros((6, 6))
+    A[0, 1] = A[2, 3] = A[4, 5] = 1
+    A[1, :4], A[3, :5] = np.array([-ks, -cs, ks, cs]) / ms, np.array([ks, cs, -ks - kt, -cs, kt]) / mu
+    ends = np.unique(np.concatenate([time, x[(x > 0) & (x < 69)] / 15.0]))
+    state, travel = np.zeros(4), {0.0: 0.0}
+    for start, end in itertools.pairwise(ends):
+        low, high = np.interp([15 * start, 15 * end], x, z)
+        state = (linalg.expm(A * (end - start)) @ [*state, low, (high - low) / (end - start)])[:4]
+        travel[end] = state[0] - state[2]
+    response = continuous_response(LoopModel(vehicle, design(vehicle, "passive"), 1e-3), RoadInput(vehicle, road, time))
+    own = np.array([travel[t] for t in time])
+    assert response["suspension_deflection"] == pytest.approx(own, abs=1e-9 * np.abs(own).max())
+
+
 @pytest.mark.extra
 def test_opencrg_between_its_lines(tmp_path):
     """Between the lines of an OpenCRG grid a wheel's height is PyOpenCRG's own, bilinear, also from a distance on."""
@@ -434,5 +496,9 @@ def test_opencrg_between_its_lines(tmp_path):
         first = [float(again.uv_to_z(np.array([start]), np.array([y]))[0]) for y in (0.755, -0.755)]
         for side, heights in tracks.items():
             assert road.displacement((u - start) / V, side) == pytest.approx(heights - np.mean(first), abs=1e-9)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "names.crg").write_text("$CT\n$ROAD_CRG_FILE\n ../road.crg ! data are there\n$\n")
+    there = read_surface(tmp_path / "other" / "names.crg")
+    assert np.array_equal(there.z, read_surface(tmp_path / "road.crg").z)
     with refused("OpenCRG file contains its own units", "'join=smooth' is not NAME=VALUE with a NAME out of from"):
         choose_road("road.crg:join=smooth", tmp_path)

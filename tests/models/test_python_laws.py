@@ -182,7 +182,7 @@ def test_it_can_disagree(tmp_path):
     prediction = predicted(vehicle.controllers["mine"].driver(), RoadInput(vehicle, Bump(), time), runs.requested_force[0])
     for share, agrees in {1.0: True, 1.00001: False}.items():
         found = compare(prediction, runs.run(0), replace(given, commands=share * given.commands))
-        assert (found.step_by_step, found.commanded) == (agrees, agrees)
+        assert [one.agrees for one in (found.steps, found.commands) if one is not None] == [agrees, agrees]
 
 
 def test_a_law_that_is_not_repeatable_is_no_disagreement(tmp_path):
@@ -302,7 +302,7 @@ def test_log_proves_without_running_the_law(tmp_path, monkeypatch, capsys, optio
     assert found["proves"]
     assert {"law": "mine.py:step", "norm": None, "bound": None, "stability": None}.items() <= mine["controller"].items()
     assert linear["controller"]["norm"] > 0
-    assert any(one["verdict"] == "note" and "was not run" in one["text"] for one in mine["findings"])
+    assert any(one["verdict"] == "note" and "was not executed" in one["text"] for one in mine["findings"])
     assert main_of("sim.inspect")([str(log), "-v"]) == 0
     assert "law in Python mine.py:step; SHA-256" in prose(capsys.readouterr().out)
 
@@ -329,7 +329,7 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     path = vehicle_of(tmp_path, "raise SystemExit(3)\n")
     alone = parse_vehicle(path.read_text(encoding="utf-8"))
     assert alone.controllers["mine"].python is not None
-    with pytest.raises(InputError, match="read from text alone"):
+    with pytest.raises(InputError, match="read from text"):
         alone.controllers["mine"].driver()
     assert read_vehicle(path).controllers["mine"].driver().name == "mine"
     assert "SystemExit: 3, line 1" in refusal(path)
@@ -421,7 +421,7 @@ def test_linear_commands_leave_it_out(tmp_path, capsys):
     path = vehicle_of(tmp_path, GAIN)
     axes = ["--vary", "height:0.02:0.1:3", "--vary", "speed:5:20:3"]
     for command, options in {"synth": [], "sim.margins": [], "sim.envelope": axes}.items():
-        said = "controller 'mine' is a law in Python, mine.py:step, which has no linear loop to analyse"
+        said = "controller 'mine' is a law in Python, mine.py:step, which has no linear loop"
         assert refusal(path, command, *options).startswith(said)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "all", "--json"]) == 0
     assert "mine" not in [one["name"] for one in json.loads(capsys.readouterr().out)["controllers"]]
@@ -508,6 +508,6 @@ def test_a_run_has_a_limit_too(tmp_path, monkeypatch):
     monkeypatch.setattr(running, "SLOWEST", 5.0)
     slow = "import time\ndef step(sample, state):\n    time.sleep({})\n    return 0.0, state\n"
     found = refusal(vehicle_of(tmp_path, slow.format(0.02)))
-    # 0.2 s, and 5 ms a call of which each takes 20 ms: over at about the thirteenth.
-    assert "step is slower than 100 times real time, and 10 s, at 0.01" in found  # the words are those of the limits as they are
+    # 0.2 s, and 5 ms a call of which each takes 20 ms or, on a busy machine, more: over at the thirteenth call at the latest.
+    assert "step is slower than 100 times real time, and 10 s, at 0.0" in found  # the words are those of the limits as they are
     driven(vehicle_of(tmp_path, slow.format(0.001)), duration=0.2)

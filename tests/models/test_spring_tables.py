@@ -47,11 +47,7 @@ def held(x, table_x, table_force):
 
 
 def integrated(vehicle: Vehicle, pull, road: Bump, time):
-    """Suspension deflections of a passive car over a bump, shape (T, corners), by Runge and Kutta's fourth-order method.
-
-    Newton's equations of a rigid body on N corners, turned by small angles, with the road held at its middle over every step.
-    `pull` has the springs' forces over the deflections.
-    """
+    """Suspension deflections of a car over a bump, shape (T, corners), by Newton's equations for small angles, and RK4."""
     p, corners = vehicle.parameters, [part.corner for part in vehicle.kind.suspensions]
 
     def of(name):
@@ -109,8 +105,7 @@ def test_an_own_integration_has_the_same_motion(tmp_path, kind, fault):
 
     expected = integrated(vehicle, pull, road, time)
     physics = simulate([vehicle], [design(vehicle, "passive")], [road], time).run(0)
-    assert -expected.min() > 1e-4
-    assert expected.max() > 5e-5, "beyond all tables"
+    assert min(-expected.min() / 1e-4, expected.max() / 5e-5) > 1, "beyond all tables"
     apart = [np.abs(physics[part.deflection] - expected[:, i]).max() for i, part in enumerate(vehicle.kind.suspensions)]
     assert (max(apart) < 1e-6 * np.abs(expected).max()) == (fault == 1), apart  # the angles' cosines leave 2e-7
 
@@ -140,16 +135,15 @@ def test_stops_of_axles_with_tables_and_strokes(tmp_path):
     savemat(tmp_path / "own.mat", {"compression_mm": [0.0, 10.0, 20.0], "force_kN": [0.0, 1.0, 4.0]})
     more = '[limits]\nsuspension_stroke = { bump = 0.06, rebound = 0.07 }\nstop = { file = "own.mat" }\n'
     vehicle = read_with(tmp_path, f"{more}[limits.rear]\nstop_stiffness = 1e5", "half_car")
-    front, rear = (vehicle.limits.stops_at(one) for one in ("front", "rear"))
-    assert front is not None
-    assert rear is not None
+    front, rear = vehicle.limits.stops(vehicle.kind.suspensions).values()
     assert front.pull(np.array([-0.08, -0.06, 0.0, 0.08])).tolist() == pytest.approx([-4000, 0, 0, 1000], abs=1e-9)
     assert front.work(np.array([-0.08])) == pytest.approx(0.01 * 500 + 0.01 * 2500)
     assert rear.pull(np.array([-0.08])) == pytest.approx(-2000)
     record = {key: one for key, one in json.loads(json.dumps(vehicle.limits.record)).items() if not key.startswith("actuator")}
     assert read_limits(record, vehicle.kind.suspensions) == vehicle.limits
-    words = "bump stops with tables at -0.06 m in bump and +0.07 m in rebound (front)"
-    assert vehicle.limits.phrases(vehicle.kind.suspensions)[0] == words
+    assert vehicle.limits.phrases(vehicle.kind.suspensions)[0].endswith(
+        " tables at -0.06 m in bump and +0.07 m in rebound (front)"
+    )
 
 
 SIGNS = {
@@ -164,8 +158,7 @@ SIGNS = {
 def test_a_heading_decides_the_sign(tmp_path, heading, sign):
     """Compression, bump and jounce are positive in compression; extension, rebound, droop and deflection in extension."""
     vehicle = read_with(tmp_path, OF_FILE, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
-    found = vehicle.curves["suspension_stiffness"](np.array([-0.05, 0.05]))
-    assert found == pytest.approx([-900, 1500] if sign > 0 else [-1500, 900])
+    assert vehicle.curves["suspension_stiffness"].force.tolist() == ([-900, 0, 1500] if sign > 0 else [-1500, 0, 900])
 
 
 @pytest.mark.parametrize("heading", ["displacement [mm], force [N]", "x, F", "travel [mm], load [N]"])
@@ -185,7 +178,6 @@ def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
         ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its force falls to 400 N at its end"),
         ("{ compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force against bump or rebound"),
         ("{ compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
-        ("{ velocity = [0, 1], force = [0, 500] }", "unknown key 'velocity'"),
         ("{ compression = [0.01, 0.02] }\nstop_stiffness = 3", "two names of one key; omit one"),
         ("1e5", "make a bump stop together"),
     ],

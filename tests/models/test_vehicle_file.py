@@ -51,7 +51,7 @@ CHANGES = [
     ),
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
-    ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not one section", "write [controllers.I] once"]),
+    ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not a section", "write [controllers.I] once"]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
     ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "does not show the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
@@ -76,7 +76,7 @@ ADDED = {
         ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
         ('design = "lqr"', 'design = "lqr" is of the state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
-        ("sampled = true", "mine] has sampled = true, and ", "no sample period"),
+        ("sampled = true", "mine] has sampled = true, but ", "no sample period"),
         (
             f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
             *('design = "lqg" with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "the two steps"),
@@ -86,7 +86,7 @@ ADDED = {
     ("quarter_car", BOTH): [
         ("noise = 0.1", "noise = 0.1 is not allowed; give true or false"),
         (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
-        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, and nothing clips its forces"),
+        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but nothing clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
         ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
         ("loads = true", "loads = True is not a table"),
@@ -99,10 +99,10 @@ ADDED = {
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
         ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
-        ('semi_active = "skyhook_modal"', "is of a body that pitches or rolls"),
+        ('semi_active = "skyhook_modal"', "is for a body that pitches or rolls"),
     ],
     ("quarter_car", "[implementation]"): [
-        ("sampled = true", "[implementation] has sampled = true, and ", "gives no sample period"),
+        ("sampled = true", "[implementation] has sampled = true, but ", "gives no sample period"),
         ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
         ("seed = 1.5", "seed = 1.5", "integer"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
@@ -110,7 +110,7 @@ ADDED = {
         ("noise = 1.0", "noise = 1.0 is not a table"),
     ],
     ("quarter_car_semi_active", VELOCITY): [
-        ("mix = 0.5", "mix is of a semi-active law; give one"),
+        ("mix = 0.5", "mix is for semi-active laws; give one"),
     ],
     ("full_car", ""): [
         (
@@ -137,7 +137,7 @@ ADDED = {
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         ('actuator_force = 1.0\nlimit = "both"', "limit = 'both' is not allowed; give 'force' or 'command'"),
-        ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command' and no largest force; give actuator_force [N]"),
+        ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command' but no largest force; give actuator_force [N]"),
     ],
 }
 
@@ -221,7 +221,7 @@ def test_a_design_needs_weights(text, section, said):
 def test_controllers_are_sections(text):
     """A controller that is no section is refused, and so is a list of them."""
     head = text.split("[controllers.I]")[0]
-    with pytest.raises(InputError, match=r"\[controllers.mine\] is not one section"):
+    with pytest.raises(InputError, match=r"\[controllers.mine\] is not a section"):
         parse_vehicle(f"{head}[controllers]\nmine = 3\n")
     with pytest.raises(InputError, match=r"write it as \[controllers\]"):
         parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')

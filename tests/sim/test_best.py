@@ -14,7 +14,7 @@ from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import trade_off
-from tests.support.commands import attacks, prose, refused
+from tests.support.commands import answer, attacks, prose, refused
 
 CAR = (
     read_vehicle("quarter_car_semi_active").text
@@ -196,7 +196,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
     limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
-    said = rf"{name}.* is nearest to {limits}, and misses peak_travel by \S+ m \(.* %\).*None of 12 is within"
+    said = rf"{name}.* is nearest to {limits}, and exceeds peak_travel by \S+ m \(.* %\).*None of 12 is within"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
 
@@ -215,7 +215,7 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     assert "no run of the campaign has both ride and tyre load; there is nothing to draw" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
     assert "There is no ride to compare: a run of every controller broke off." in out
-    assert "None of 2 has ride of all runs, as some broke off." in prose(out)
+    assert "None of 2 has ride for all runs, because some broke off." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 
@@ -231,7 +231,7 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
         assert main([str(folder / "campaign.toml"), *options]) == 0
     out = prose(capsys.readouterr().out)
     assert "passive has the best force_peak: force_peak 0. There are 12 candidates." in out
-    assert "variants that are best at nothing are left out" in out
+    assert "variants that are not best at anything are omitted" in out
     lines = (folder / "saved.toml").read_text().splitlines()
     added = lines[len(CAR.rstrip().splitlines()) + 1 :]
     assert len(added) == 4
@@ -243,7 +243,7 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
     """`--verify` draws the same laws again, and finds every row and its run."""
     folder, _ = campaign
     assert main(["--verify", str(folder / "campaign-results"), "--runs", "8"]) == 0
-    assert "8 of them, drawn with seed 0, were driven again, with the same numbers" in prose(capsys.readouterr().out)
+    assert "8 runs, selected with seed 0, were repeated with the same numbers" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
@@ -325,9 +325,7 @@ def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):
 def test_every_variant_is_a_point(campaign, capsys):
     """For a drawn law `--json` has the root mean squares of each variant, road by road; the picture has them as points."""
     folder, rows = campaign
-    capsys.readouterr()
-    assert main([str(folder / "campaign.toml"), "--json"]) == 0
-    entries = json.loads(capsys.readouterr().out)["summary"]
+    entries = answer(capsys, main, str(folder / "campaign.toml"))["summary"]
     read = read_campaign(folder / "campaign.toml")
     figure = trade_off(Plan(read, {"car.toml": {}}), entries, {})
     assert figure is not None

@@ -15,7 +15,7 @@ from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.manifest import read_manifest
 from tests.sim import test_campaign
-from tests.support.commands import prose, refused
+from tests.support.commands import answer, prose, refused
 
 QUICK = test_campaign.QUICK.replace("seeds = 60", "seeds = 12")
 RUNS = 2 * 2 * (12 + 1)
@@ -93,11 +93,10 @@ def test_verify(whole, capsys):
     """A finished folder holds: rows, inputs, and a sample of runs, driven again with the same numbers; in words and in JSON."""
     assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5"]) == 0
     out = prose(capsys.readouterr().out)
-    assert f"each of {RUNS} runs has its row" in out
-    assert "3 of them, drawn with seed 5" in out
-    assert out.endswith("the results hold what the campaign comes to")
-    assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    assert f"each of {RUNS} runs has one row" in out
+    assert "3 runs, selected with seed 5" in out
+    assert out.endswith("the results agree with the campaign")
+    result = answer(capsys, main, "--verify", str(whole[0]), "--runs", "3", "--seed", "5")
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
 
 
@@ -111,7 +110,7 @@ def test_verify_a_copied_folder(tmp_path, monkeypatch, capsys):
     assert main(["campaign.toml", "--results", "s3:0:1"]) == 0
     arguments = ["--verify", "s3:0:1", "--runs", "1"]
     capsys.readouterr()
-    for said in ("is another one by now", "is not there any more"):
+    for said in ("has changed", "does not exist any more"):
         (tmp_path / "campaign.toml").write_text("speeds = []")
         if "any more" in said:
             (tmp_path / "campaign.toml").unlink()
@@ -146,7 +145,7 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
     said = {"number": "when driven again", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
     said |= {"gain": "the gains in the results are not those in plan.json", "no table": "results.parquet: "}
     assert said[forgery] in prose(out)
-    assert out.endswith("the results DO NOT HOLD what the campaign comes to\n")
+    assert out.endswith("the results DO NOT AGREE with the campaign\n")
 
 
 @pytest.mark.parametrize(
@@ -223,11 +222,9 @@ def test_folders_of_an_earlier_version(whole, begun, tmp_path, capsys):
         shutil.copytree(folder, tmp_path / name)
         earlier(tmp_path / name)
     (tmp_path / "campaign.toml").write_text(QUICK)
-    capsys.readouterr()
-    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "whole"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["new"] == 0
+    assert answer(capsys, main, str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "whole"))["new"] == 0
     assert main(["--verify", str(tmp_path / "whole"), "--runs", "1"]) == 0
-    with refused(match="was begun by Roadproof 0.1; finish it with that version"):
+    with refused(match="was started by Roadproof 0.1; finish it with that version"):
         main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "begun")])
 
 

@@ -16,7 +16,7 @@ from sim.campaign.file import read_campaign
 from sim.campaign.manifest import read_manifest
 from sim.campaign.plan import Plan
 from sim.studies.ride.metrics import metrics_of
-from tests.support.commands import prose
+from tests.support.commands import answer, prose
 from tests.support.pages import hopper
 
 FORCE = '10825.2 * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"]'
@@ -93,8 +93,7 @@ def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
         assert linear["linear_error"] is not None
     for name in ("mine", "many"):
         assert f"{name} is a law in Python, {name}.py:step: linear analysis does not apply" in said
-    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--json"]) == 0
-    for entry in json.loads(capsys.readouterr().out)["summary"]:
+    for entry in answer(capsys, main, str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"))["summary"]:
         own = entry["controller"] != "linear"
         assert own == ("failed" in entry) == (entry["ride"]["predicted"] is None)
         assert not own or (entry["failed"], entry["first_failure"]) == (0, None)
@@ -176,9 +175,7 @@ def test_a_law_goes_on_as_it_was(tmp_path, capsys):
     assert manifest is not None
     assert set(manifest.controllers["car.toml"]["mine"]) == {"measured", "law", "sha256"}
     assert not any(b"def step" in path.read_bytes() for path in results.iterdir())
-    capsys.readouterr()
-    assert main(["--verify", str(results), "--runs", "12", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["again"]) == 3 * BUMPS
+    assert len(answer(capsys, main, "--verify", str(results), "--runs", "12")["again"]) == 3 * BUMPS
 
     (tmp_path / "mine.py").write_text(PLAIN.format("") + "#", encoding="utf-8")
     for arguments in ([str(file), "--results", str(results)], ["--verify", str(results)]):

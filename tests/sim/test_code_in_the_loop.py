@@ -18,10 +18,9 @@ from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import simulate
-from sim.report.__main__ import main as report
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
-from sim.report.scope import Exported, Scope
+from sim.report.scope import Scope
 from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
@@ -168,7 +167,7 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert ("the cause is rounding to float" in said) == (numbers == "float")
-    assert "come out as they were logged, bit for bit" in said
+    assert "equal the logged ones bit for bit" in said
 
 
 CAMPAIGN = """vehicles = ["car.toml"]
@@ -199,7 +198,7 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
     assert "compiled code drives law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
-    with pytest.raises(InputError, match="the campaign began without this code"):
+    with pytest.raises(InputError, match="the campaign was started without this code"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
 
 
@@ -241,7 +240,7 @@ def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
 
     compiled._library.cache_clear()
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
-    with pytest.raises(InputError, match="no C compiler is here; install cc, or"):
+    with pytest.raises(InputError, match="there is no C compiler; install cc, or"):
         bump([*options, "--as", str(folders / "double")])
 
 
@@ -253,21 +252,17 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, driver))
+    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=driver)
     assert (EXPORTED, "") in pieces_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
-    assert facts["folder"] == str(folder)
-    assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert (
+        facts["SHA-256 of its manifest, which every file matches"]
+        == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    )
     assert facts["format"] == "C99 in float, law_step every 5 ms"
     assert changes["control force"] == "N"
     assert section.state == "holds"
-
-
-def test_no_folder_of_a_gallery(tmp_path):
-    """The page of the gallery is of no vehicle file, and so of no folder."""
-    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
-        report(["--gallery", "--as", str(tmp_path)])
 
 
 @needs_cc

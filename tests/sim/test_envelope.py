@@ -36,7 +36,7 @@ from sim.studies.validity.report import envelope_figure
 from synth.vehicle.designer import Designer
 from tests.conftest import recorded_runs
 from tests.support.analysed import sampled_response
-from tests.support.commands import attacks, once, prose
+from tests.support.commands import answer, attacks, once, prose
 
 TIME = np.arange(1501) * 2e-3
 LIMITS = Limits(suspension_stroke=0.12, stop_stiffness=2e5, actuator_force=1400.0)  # near one another over a bump of 5 m
@@ -82,8 +82,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys, of_one_map):
     arguments = ["--vehicle", "quarter_car_semi_active", "--controller", "I", "--timestep", "2e-3", "--duration", "1.5"]
     arguments += ["--vary", "height:0.05:0.25:2", "--vary", "speed:6:18:3"]
     table = tmp_path / "map.csv"
-    assert main([*arguments, "--json", "--csv", str(table)]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer(capsys, main, *arguments, "--csv", str(table))
     assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
     assert all(cell["agrees"] and not cell["holds"] for cell in found["cells"])  # no boundary is as near as 1 % in this map
     vehicle = read_vehicle("quarter_car_semi_active")
@@ -109,8 +108,7 @@ def test_loads_over_every_bump(tmp_path, capsys):
     """Under a brake a map is of bumps and brake: what breaks first, and when, is as foretold, and is a run's; a log proves it."""
     arguments = ["--vehicle", "half_car", "--controller", "passive", "--timestep", "2e-3", "--duration", "1.5"]
     arguments += ["--vary", "height:0.02:0.2:2", "--vary", "speed:6:18:3", "--load", "brake:g=0.6:start=0.1"]
-    assert main([*arguments, "--json", "--logs", str(tmp_path)]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer(capsys, main, *arguments, "--logs", str(tmp_path))
     assert found["loads"] == ["brake:g=0.6:start=0.1"]
     assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
     vehicle = read_vehicle("half_car")
@@ -284,8 +282,7 @@ def test_the_csv_is_the_cells(tmp_path, capsys, of_one_map):
     vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
     axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:3:30:5"]
     arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
-    assert main([*arguments, "--json", "--picture", str(tmp_path / "map.svg"), "--logs", str(tmp_path)]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answer(capsys, main, *arguments, "--picture", str(tmp_path / "map.svg"), "--logs", str(tmp_path))
     cells = result["cells"]
     assert (tmp_path / "map.svg").read_text().startswith("<?xml")
     assert main([*arguments, "--csv", str(tmp_path / "map.csv")]) == 0

@@ -12,17 +12,15 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
-from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, arrows, rotation_matrix
+from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, arrows, rotation_matrix, strut_lines, tyre_surface
 from sim.response.response import difference
-from tests.sim.test_recording import make_run
+from tests.sim.test_recording import make_run, messages
 from tests.support.npm import installed
 
 PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "protobufjs@8.8.1", "@foxglove/schemas@2.1.0")
@@ -39,11 +37,7 @@ def log(lifting: RunLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read(path: Path) -> dict[str, list]:
     """(schema, record, decoded) of every message, by topic."""
-    found: dict[str, list] = {}
-    with path.open("rb") as stream:
-        for schema, channel, record, decoded in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
-            found.setdefault(channel.topic, []).append((schema, record, decoded))
-    return found
+    return {topic: [(schema, record, decoded) for schema, _, record, decoded in rows] for topic, rows in messages(path).items()}
 
 
 def test_schemas_are_the_published_ones(log: Path) -> None:
@@ -86,16 +80,16 @@ def test_every_solid_is_drawn_once(lifting: RunLog, log: Path) -> None:
     assert all(entity.frame_locked for entity in update.entities)
 
 
-def test_tyre_gives_way_and_lifts(lifting: RunLog, log: Path) -> None:
-    """A tyre's lowest point is on the road while it is squeezed, its own radius below the hub in the air, and red there."""
-    (tyre,) = lifting.scene.tyres
+def test_struts_and_tyres_are_those_of_the_scene(lifting: RunLog, log: Path) -> None:
+    """At every frame a strut's lines and a tyre's surface are where the scene has them; in the air the tyre is red."""
+    (tyre,), (ends,) = lifting.scene.tyres, lifting.scene.springs.values()
     assert tyre.lifted.any()
     assert not tyre.lifted.all()
+    expected = [*strut_lines(ends), tyre_surface(tyre)[0]]
     for index, (_, _, update) in enumerate(read(log)["/scene"]):
-        (entity,) = [entity for entity in update.entities if entity.id == "tyre"]
-        (surface,) = entity.triangles
-        lowest = min(point.z for point in surface.points)
-        assert lowest == pytest.approx(-min(tyre.radius, tyre.height[index]), abs=GRID)
+        (surface,) = (entity.triangles[0] for entity in update.entities if entity.id == "tyre")
+        for drawn, points in zip((*update.entities[0].lines, surface), expected, strict=True):
+            np.testing.assert_allclose([[at.x, at.y, at.z] for at in drawn.points], points[index], atol=GRID)
         assert (round(255 * surface.color.r) == LIFTED[0]) == tyre.lifted[index]
         assert max(surface.indices) == len(surface.points) - 1
 
@@ -108,17 +102,6 @@ def test_squeeze_is_that_of_the_physics(lifting: RunLog) -> None:
     static = (504.5 + 62.0) * 9.81 / 252000.0  # of the vehicle that ships
     # Both are lengths in double precision, of less than 1 m.
     np.testing.assert_allclose(tyre.height, tyre.radius - static + physics["tyre_deflection"][frames], atol=1e-12)
-
-
-def test_struts_join_wheel_and_body(lifting: RunLog, log: Path) -> None:
-    """Coil and rod go from end to end of the spring, and the tube hangs from the body, at every frame."""
-    ends = lifting.scene.springs["suspension"]
-    for index, (_, _, update) in enumerate(read(log)["/scene"]):
-        coil, rod, tube = update.entities[0].lines
-        for line in (coil, rod):
-            for point, end in ((line.points[0], ends[index, 0]), (line.points[-1], ends[index, 1])):
-                np.testing.assert_allclose([point.x, point.y, point.z], end, atol=GRID)
-        assert tube.points[-1].z == pytest.approx(ends[index, 1, 2], abs=GRID)
 
 
 def test_arrow_is_the_control_force(lifting: RunLog, log: Path) -> None:

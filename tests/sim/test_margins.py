@@ -12,7 +12,8 @@ from scipy.linalg import expm
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.controller.disk_margin import disk_margin
-from synth.controller.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
+from synth.controller.loop_transfer import LoopTransfer, loop_transfer
+from synth.controller.open_loop import LoopModel
 from synth.controller.stability_margins import (
     LONGEST,
     _sign_changes,
@@ -172,7 +173,7 @@ def test_sampled_loop(kind, name, actuators):
         period = largest_sample_period(loop_transfer(vehicle, controller, actuators))
         radii = [sampled_radius(vehicle, controller, period * side) for side in (1 - 1e-6, 1 + 1e-6)]
         assert radii[0] < 1 < radii[1]
-    factors = [at for at in sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, timestep, actuators)) if at > 1]
+    factors = [at for at in sampled_gain_crossings(*LoopModel(vehicle, controller, timestep).cut(actuators)) if at > 1]
     for factor in factors:
         for side in (1 - 1e-8, 1 + 1e-8):
             with_gain = dataclasses.replace(controller, law=controller.law.scaled(np.where(mine, side * factor, 1.0)))

@@ -19,8 +19,6 @@ from sim.studies.stability.robustness import _worst, read_variations, robustness
 from sim.studies.stability.study import stability_margins
 from synth.analysis.norm import by_level_sets, hinf_norm
 from synth.controller.problem import generalized_plant
-from synth.vehicle.designer import design
-from tests.support import pages
 
 
 def test_a_worst_norm_between_the_points_of_its_grid_is_found():
@@ -28,7 +26,7 @@ def test_a_worst_norm_between_the_points_of_its_grid_is_found():
     box = [Variation("mass", 0.7, 1.4), Variation("tyre", 0.75, 1.25)]
     for top, at in ((7.0, (1.0137, 0.9031)), (7.0 - 2 * 0.05**2, (1.0137, 1.25))):
         tyre = 0.9031 if at[1] < 1.25 else 1.30
-        _, norms, worst, where = _worst(lambda point, t=tyre: 7.0 - (point[0] - 1.0137) ** 2 - 2 * (point[1] - t) ** 2, box)
+        _, norms, worst, where = _worst(lambda m, k, t=tyre: 7.0 - (m - 1.0137) ** 2 - 2 * (k - t) ** 2, box)
         assert norms.max() < worst == pytest.approx(top, rel=1e-9)
         assert where == pytest.approx(at, abs=1e-4)
 
@@ -75,67 +73,32 @@ def test_ranges_that_are_none(paper, asked, words):
         read_variations(paper, asked)
 
 
-OWN = """
-type = "{kind}"
-[parameters]
-weight = 200.0
-rate = 150000.0
-[performance]
-sprung_acceleration = 1.0
-control_force = 1e-4
-[controllers.I]
-measured = ["sprung_velocity"]
-"""
+def of_kind(vehicle, **varied):
+    """Returns the vehicle, of a type that lets these parameters vary."""
+    parameters = tuple(dataclasses.replace(one, varied=varied.get(one.name)) for one in vehicle.kind.parameters)
+    return dataclasses.replace(vehicle, kind=dataclasses.replace(vehicle.kind, parameters=parameters))
 
 
-@pytest.fixture
-def hopper(tmp_path, request):
-    """The README's hopper with parameters of other names, and what its kind says of their variation."""
-    pages.hopper(tmp_path)
-    source = (tmp_path / "hopper.py").read_text(encoding="utf-8")
-    source = source.replace('p["mass"]', 'p["weight"]').replace('p["stiffness"]', 'p["rate"]')
-    weight, rate = request.param
-    source = source.replace('"mass", "kg", "all of it"', f'"weight", "kg", "all of it"{weight}')
-    source = source.replace('"stiffness", "N/m", "of its tyre"', f'"rate", "N/m", "of its tyre"{rate}')
-    source = source.replace("import GRAVITY, ", "import GRAVITY, Variation, ")
-    (tmp_path / "hopper.py").write_text(source)
-    (tmp_path / "own.toml").write_text(OWN.format(kind="hopper"))
-    return tmp_path / "own.toml"
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("hopper", [("", "")], indirect=True)
-def test_a_kind_that_varies_nothing_says_so(hopper):
-    """Nothing is claimed of other vehicles if no parameter of the vehicle type varies."""
-    vehicle = read_vehicle(hopper)
-    assert robustness(vehicle, [design(vehicle, "I")], 4e-3) == [None]
-    assert "nothing is varied" in varied_text(vehicle.kind)
-
-
-VARIED = (', varied=Variation("weight", 0.9, 1.2)', ', varied=Variation("tyre rate", 0.75, 1.0)')
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("hopper", [VARIED], indirect=True)
-def test_the_kind_says_what_varies(hopper, monkeypatch):
-    """The box, its worst norm and its words are of the parameters that the vehicle type lets vary, as far as it does."""
-    monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # errors of readings are not asked about
-    vehicle = read_vehicle(hopper)
-    controller = design(vehicle, "I")
-    (box,) = robustness(vehicle, [controller], 4e-3)
+def test_the_kind_says_what_varies(paper, designer):
+    """The box, its worst norm, words and figure are of what the vehicle type lets vary; nothing is claimed if nothing varies."""
+    controller, fixed = designer.design("I"), of_kind(paper)
+    assert robustness(fixed, [controller], 4e-3) == [None]
+    assert "nothing is varied" in varied_text(fixed.kind)
+    wheel, damper = Variation("wheel", 0.9, 1.2), Variation("damper", 0.75, 1.0)
+    vehicle = of_kind(paper, unsprung_mass=wheel, suspension_damping=damper)
+    assert varied_text(vehicle.kind) == "wheel -10 to +20 %, damper -25 to +0 %"
+    (found,) = stability_margins(vehicle, [controller], 4e-3)
+    box = found.box
     assert box is not None
-    assert varied_text(vehicle.kind) == "weight -10 to +20 %, tyre rate -25 to +0 %"
-    corners = {tuple(corner.parameters.items()) for corner in box.corners}
-    assert corners == {(("weight", weight), ("rate", rate)) for weight in (180.0, 240.0) for rate in (112500.0, 150000.0)}
-    assert set(box.at) == {"weight", "rate"}
+    assert box.holds
+    assert set(box.at) == {"unsprung_mass", "suspension_damping"}
+    assert [corner.factors for corner in box.corners] == [(m, c) for m in (0.9, 1.2) for c in (0.75, 1.0)]
     for corner in box.corners:
-        other = dataclasses.replace(vehicle, parameters={**vehicle.parameters, **corner.parameters})
+        other = paper.with_parameters(**corner.parameters)
         assert corner.norm == pytest.approx(hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value)
         assert corner.norm <= box.norm
-    assert box.holds
-    (found,) = stability_margins(vehicle, [controller], 4e-3)
     panel = margins_figure(found).panels[-1]
-    assert (panel.xlabel, panel.ylabel) == ("weight [% off]", "tyre rate [% off]")
+    assert (panel.xlabel, panel.ylabel) == ("wheel [% off]", "damper [% off]")
     drawn = [curve.x for curve in panel.curves if isinstance(curve, Curve) and curve.marker in "ox" and curve.marker]
     assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
 

@@ -17,7 +17,7 @@ from sim import bump, drive
 from sim.inspect.__main__ import main as inspect
 from sim.runs.by_name import run
 from synth.vehicle.designer import Designer
-from tests.support.commands import refused
+from tests.support.commands import answer, refused
 
 CORNER = """
 type = "quarter_car"
@@ -78,11 +78,8 @@ def test_several_vehicles_share_a_table(files, tmp_path, capsys):
     assert [line.split()[0] for line in vans] == ["passive", "leaky", "firm"]
     assert changed == [False, True, True]
     assert inspect([str(path) for path in sorted((tmp_path / "logs").glob("*.mcap"))]) == 0
-    capsys.readouterr()
-    assert bump.main([*pair, *some, *options, "--no-logs", "--json"]) == 0
-    both = json.loads(capsys.readouterr().out)
-    assert bump.main(["--vehicle", files["van"], *some, *options, "--no-logs", "--json"]) == 0
-    alone = json.loads(capsys.readouterr().out)
+    both = answer(capsys, bump.main, *pair, *some, *options, "--no-logs")
+    alone = answer(capsys, bump.main, "--vehicle", files["van"], *some, *options, "--no-logs")
     assert not any("vehicle" in one for one in (*alone["runs"], *alone["compared"]["controllers"]))
     for one, other in ((alone["runs"], both["runs"]), (alone["compared"]["controllers"], both["compared"]["controllers"])):
         assert [row | {"vehicle": "van"} for row in one] == [row for row in other if row["vehicle"] == "van"]
@@ -127,8 +124,7 @@ def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
     """`--without` adds a row below that as built, passive has none, and the log of all runs proves them."""
     options = ["--vehicle", files["corner"], "--controller", "passive", "--controller", "leaky", "--road", "bump:height=0.05"]
     options += ["--without", "noise", "--without", "lag", "--duration", "0.6", "--logs", str(tmp_path / "logs")]
-    assert drive.main([*options, "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answer(capsys, drive.main, *options)
     rows = [(one["controller"], one.get("without")) for one in result["compared"]["controllers"]]
     assert rows == [("passive", None), ("leaky", None), ("leaky", "noise"), ("leaky", "lag")]
     assert [one.get("without") for one in result["runs"]] == [None, None, "noise", "lag"]
@@ -141,8 +137,7 @@ def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
 def test_strokes_used(files, capsys):
     """Travel in bump and in rebound is the largest of MuJoCo's deflections either way."""
     options = ["--vehicle", files["corner"], "--controller", "leaky", "--height", "0.1", "--duration", "1.5", "--no-logs"]
-    assert bump.main([*options, "--json"]) == 0
-    strokes = json.loads(capsys.readouterr().out)["compared"]["controllers"][1]["strokes"]
+    strokes = answer(capsys, bump.main, *options)["compared"]["controllers"][1]["strokes"]
     deflection = run(parse_vehicle(CORNER), "leaky", Bump(height=0.1), duration=1.5)[0].physics["suspension_deflection"]
     assert strokes["bump"] == {"used": -deflection.min(), "of": 0.07}
     assert strokes["rebound"] == {"used": deflection.max(), "of": 0.08}
@@ -153,8 +148,7 @@ def test_an_obstacle_is_measured_over_its_passage(capsys):
     options = ["--vehicle", "half_car", "--controller", "passive", "--road", "step:start=0.25:edge=0.5", "--speed", "10"]
     found = []
     for duration in ("4", "6"):
-        assert drive.main([*options, "--duration", duration, "--no-logs", "--json"]) == 0
-        found.append(json.loads(capsys.readouterr().out))
+        found.append(answer(capsys, drive.main, *options, "--duration", duration, "--no-logs"))
     vehicle = read_vehicle("half_car")
     behind = (vehicle.parameters["axle_distance_front"] + vehicle.parameters["axle_distance_rear"]) / 10
     slowest = -np.linalg.eigvals(vehicle.linear_model.A).real.max()

@@ -1,13 +1,11 @@
 """Which controller is best: the table at the end of commands that run several, and what it says of the best."""
 
-import json
-
 import numpy as np
 
 from models.vehicle.vehicle import read_vehicle
 from sim import bump
 from sim.studies.ride.standing import FIELDS, KEYS, Standing, best, standing, standing_lines
-from tests.support.commands import refused
+from tests.support.commands import answer, refused
 
 RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs", "--duration", "1"]
 
@@ -16,8 +14,7 @@ def test_passive_comes_first(capsys):
     """Passive is compared though not requested; in brief a command prints the comparison, and ends in the verdicts."""
     assert bump.main([*RUN, "--brief"]) == 0
     printed = capsys.readouterr().out
-    assert bump.main([*RUN, "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = answer(capsys, bump.main, *RUN)
     compared = result["compared"]["controllers"]
     assert [one["controller"] for one in compared] == ["passive", "I", "II_printed"]
     standings = [Standing(one["controller"], {key: one[key] for key in KEYS}) for one in compared]

@@ -185,11 +185,10 @@ def test_a_step_that_begins_later():
     metrics = []
     for start in (0.0, 0.25):
         (run,) = ran(vehicle, "I", road=Step(height=0.004, edge=0.08, speed=8.0, start=start), duration=1.0 + start)
-        metrics.append(measure_step(run, 5.0)["suspension_deflection"].continuous)
-    first, later = metrics
-    for key in ("peak", "peak_time", "overshoot", "iae", "itae", "settled"):
-        expected = getattr(first, key)
-        assert getattr(later, key) == (pytest.approx(expected, rel=1e-9) if key != "settled" else expected)
+        metrics.append(measure_step(run, 60.0)["suspension_deflection"].continuous)
+    first, later = map(vars, metrics)
+    assert first.pop("settled") == later.pop("settled")
+    assert later == pytest.approx(first, rel=1e-9)
 
 
 def roots(function, grid):
@@ -262,18 +261,14 @@ def test_command(capsys):
     assert main([*options, "--json"]) == 0
     step = json.loads(capsys.readouterr().out)["step"]
     assert step["band"] == 5.0
-    ((one,),) = (step["runs"],)
-    assert main(options) == 0
-    brief = prose(capsys.readouterr().out)
+    (one,) = step["runs"]
     assert main([*options, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     travel = one["signals"]["suspension_deflection"]["mujoco"]
-    assert "Response to the step: suspension_deflection [m]" in brief
-    assert f" I {travel['peak']:.5g} {travel['peak_time']:.5g} " in brief
+    assert f" I {travel['peak']:.5g} {travel['peak_time']:.5g} " in printed
     for name in ("suspension_deflection", "tyre_deflection", "sprung_acceleration", "control_force"):
         assert one["signals"][name]["final"] == 0.0
         assert f"{one['signals'][name]['continuous']['peak']:.5g}" in printed
-    assert {"unit", "half_band", "linear"} <= {*one["signals"]["tyre_deflection"]}
     for road, band, said in (("bump", "5", "is that of a step's response"), ("step", "200", "200 % is not allowed")):
         with pytest.raises(InputError, match=f"--band {said}"):
             main(["--controller", "I", "--road", road, "--band", band])

@@ -1,6 +1,7 @@
 """Commands as tests run them: in this process by their `main`, or in one of their own."""
 
 import importlib
+import json
 import math
 import os
 import time
@@ -27,6 +28,13 @@ def main_of(command: str) -> Callable[[list[str]], int]:
 def prose(printed: str) -> str:
     """Returns what was printed with its lines joined, as a sentence that goes over several reads."""
     return " ".join(printed.split())
+
+
+def answer(capsys: pytest.CaptureFixture[str], main: Callable[[list[str]], int], *arguments: str, code: int = 0) -> Any:
+    """Returns what a command prints with `--json`, which is JSON without NaN and infinity."""
+    capsys.readouterr()
+    assert main([*arguments, "--json"]) == code
+    return json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
 
 
 @contextmanager

@@ -24,11 +24,9 @@ class PageRead:
     def __init__(self, path: Path, result: dict[str, Any]) -> None:
         own = re.sub(r"<(script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
         (self.state,) = re.findall(r'<p class="verdict (\w+)">', own)
-        (box,) = re.findall(r'<div class="answer">(.*?)</div>', own, re.S)
         self.headline = _text(re.findall(r"<h2>(.*?)</h2>", own, re.S)[0])
-        self.lead = [_text(sentence) for sentence in re.findall(r"<li>(.*?)</li>", _list(own, "lead"), re.S)]
         self.warnings = [_text(sentence) for sentence in re.findall(r'<p class="warn">(.*?)</p>', own, re.S)]
-        self.answer = [_text(sentence) for sentence in re.findall(r"<p>(.*?)</p>", box, re.S)]
+        self.answer: list[str] = [sentence.replace("`", "") for sentence in result["answer"]]
         self.captions = [_text(caption) for caption in re.findall(r"<figcaption>(.*?)</figcaption>", own, re.S)]
         self.text = _text(own)
         self.tables: dict[str, list[dict[str, str]]] = result["tables"]
@@ -50,10 +48,6 @@ def number(text: str) -> float:
     """Returns a number as a page writes it: 1.4·10⁻³, 10⁻³, or −3."""
     plain = re.sub(r"(?<![\d·])10(?=[⁻⁰¹²³⁴⁵⁶⁷⁸⁹])", "1·10", text)
     return float(re.sub("·10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda power: f"e{power[1].translate(PLAIN)}", plain).replace("−", "-"))
-
-
-def _list(page: str, kind: str) -> str:
-    return "".join(re.findall(rf'<ul class="{kind}">(.*?)</ul>', page, re.S))
 
 
 def _text(piece: str) -> str:

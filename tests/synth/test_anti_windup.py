@@ -59,7 +59,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert max(kept.physics.peak(name) for name in states) < 100
     assert np.abs(kept.physics["missing_force"]).max() < 2000
     assert kept.passed, reasons(kept)
-    said = "anti-windup: where forces are clipped its states follow those that are given, at 20 1/s or faster"
+    said = "anti-windup: when forces are clipped, its states follow the clipped forces at 20 1/s or faster"
     assert said in controller_notes(vehicle, kept.controller)
     assert not any("winds up" in line for line in controller_notes(vehicle, kept.controller))
     assert any("winds up" in line for line in controller_notes(vehicle, free.controller))
@@ -189,7 +189,7 @@ def test_the_gain_mirrors_slow_poles(seed):
 def test_a_state_that_shows_in_no_force_is_refused():
     """If a slow state acts on no force, no gain can hold it: one line says so."""
     law = LinearLaw(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), anti_windup=RATE)
-    with refused("anti_windup = 20", "shows in no force"):
+    with refused("anti_windup = 20", "almost no effect on the forces"):
         anti_windup_gain(law.sampled(1e-3))
 
 
@@ -199,7 +199,7 @@ def test_a_rate_that_rounding_hides_is_refused():
     law = integrator.sampled(1e-3)
     left = 1 - float((law.A - anti_windup_gain(law) @ law.C)[0, 0])
     assert left == pytest.approx(2 * 2e-3 * 1e-3, rel=1e-5)  # first order of 4e-6, and rounding of 1 + 4e-6
-    with refused("anti_windup = 0.0005", "lost in rounding at a sample period of 0.001 s; give at least 0.001"):
+    with refused("anti_windup = 0.0005", "below rounding at a sample period of 0.001 s; give at least 0.001"):
         anti_windup_gain(replace(law, anti_windup=5e-4))
 
 

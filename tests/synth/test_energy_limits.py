@@ -83,7 +83,7 @@ def test_bad_input(designer):
     """A wrong shape, an unstable loop and a discrete plant are refused in one line each."""
     plant, G, Cs, Ds = designer.plant, np.zeros((1, 4)), np.eye(4)[:1], np.zeros((1, 1))
     for arguments, said in [
-        ((dataclasses.replace(plant, dt=0.1), G, Cs, Ds), "is done for continuous ones alone"),
+        ((dataclasses.replace(plant, dt=0.1), G, Cs, Ds), "this function needs a continuous plant"),
         ((plant, G, np.eye(3), Ds), r"Cs has shape \(3, 3\) and Ds \(1, 1\); expected \(p, 4\) and \(p, 1\)"),
         ((plant, G, Cs, np.zeros((2, 1))), "expected"),
     ]:

@@ -160,7 +160,7 @@ def test_bad_input(designer):
         (([plant], [Cy], np.array([[1.0, 0.5]])), "of ones where the gain may be other than zero, and zeros"),
         (([plant], [Cy], None, (0.1, -1.0)), "is not a list of positive numbers; give numbers above 0"),
         (([plant], [Cy], None, (np.nan,)), "the row of f has an entry that is not finite"),
-        (([dataclasses.replace(plant, dt=0.01)], [Cy]), "is done for continuous ones alone"),
+        (([dataclasses.replace(plant, dt=0.01)], [Cy]), "this function needs a continuous plant"),
         (([plant], [np.eye(3)]), r"Cy has shape \(3, 3\)"),
     ]:
         with pytest.raises(InputError, match=said):
@@ -170,5 +170,5 @@ def test_bad_input(designer):
 def test_what_takes_longer_than_a_minute_is_refused():
     """A chain of 30 states would take three minutes: it is refused at once, in a line that says what is allowed."""
     plant, Cy = chain(30)
-    with pytest.raises(TooLargeError, match="has 1395 unknowns, and those with a slack variable are solved with at most"):
+    with pytest.raises(TooLargeError, match="has 1395 unknowns, and the one with a slack variable takes at most"):
         slack_design([plant], [Cy])

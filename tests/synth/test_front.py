@@ -176,7 +176,7 @@ def test_the_picture_is_the_front(few):
     (panel,) = front_figure(few).panels
     designs, limit, *others = panel.curves
     assert np.array_equal(np.stack([designs.x, designs.y], axis=1), few.values)
-    assert limit.label == "no controller comes below this line"
+    assert limit.label == "lower bound for every controller"
     shown = {name for curve in others for name in curve.label.split(", ")}
     for one in few.others:
         name, (x, y) = one.controller.name, one.values
@@ -222,7 +222,7 @@ def test_what_is_written_is_one(quick, capsys, monkeypatch, tmp_path):
         if "point" in one:
             assert [float(row["gain_1_1"]), float(row["gain_1_2"])] == one["gain"][0]
             assert (float(row["bump_travel"]) if row["bump_travel"] else None) == one["bump_travel"]
-    assert f"{len(result['points'])} certified designs, none of which another beats in all" in prose(printed)
+    assert f"{len(result['points'])} certified designs, none better than another on all axes" in prose(printed)
     text = read_vehicle(saved)
     assert {"I_point_3_designed", "I_point_5_designed"} < {*text.controllers}
     law = text.controllers["I_point_3_designed"].law
@@ -265,7 +265,7 @@ def test_report(monkeypatch, few):
     ]
     # A force held over a step acts half of that late, and the peak of a sinusoid is the norm to NEXT.
     assert np.max(np.abs(shown / norms - 1)) < 0.005
-    assert f"{COUNT} certified designs, none of which another beats in all" in section.statements[0].text
+    assert f"{COUNT} certified designs, none better than another on all axes" in section.statements[0].text
 
 
 @pytest.mark.attack

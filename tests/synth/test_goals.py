@@ -160,10 +160,10 @@ def test_roads_of_given_energy(paper):
     assert reached == pytest.approx(promises["largest suspension_deflection for roads of 0.01 m2/s"], rel=1e-4)  # the step's
 
 
-def test_what_lies_beside_a_band_is_said():
+def test_norm_outside_a_band_is_named():
     """Without a bound on the whole norm its size is named, and how to bound it."""
     controller, _ = designed(f"measured = {TWO}\n{BAND}\nbounds = [{{ gain = 2e4 }}]")
-    assert any(f"the norm is {controller.certificate.norm.value:.7g}; give bounds" in remark for remark in controller.remarks)
+    assert any(f"it is {controller.certificate.norm.value:.7g}; give bounds" in remark for remark in controller.remarks)
 
 
 @pytest.mark.attack

@@ -23,7 +23,7 @@ gain = [[5000.0, -3000.0]]
 bounds = [{ norm = %s }, { decay = 0.5 }, { peak = "suspension_deflection", road = "bump", at_most = %s }]
 """
 KEPT, BROKEN = SECTION % ("8.0", "0.1"), SECTION % ("7.0", "0.01")
-SAID = "roadproof: controller 'b' does not keep the goals that the vehicle file has for it (norm 7.9"
+SAID = "roadproof: controller 'b' does not meet its goals in the vehicle file (norm 7.9"
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_of_a_design_too(designer, capsys):
     say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, at_most=7.0),))])
     assert capsys.readouterr().err == ""
     say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
-    assert "controller 'II' does not keep the goals" in capsys.readouterr().err
+    assert "controller 'II' does not meet its goals" in capsys.readouterr().err
 
 
 @pytest.mark.attack
@@ -100,8 +100,8 @@ def test_a_log_claims_nothing_of_goals(vehicles, tmp_path, capsys):
     capsys.readouterr()
     assert inspect([str(log), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert printed.count("goals note: vehicle.toml has goals for it (bounds), of which the log claims nothing") == 1
-    assert printed.endswith("the log still proves what it claims, and of goals it claims nothing")
+    assert printed.count("goals note: the log makes no claim about its goals in vehicle.toml (bounds); python -m synth") == 1
+    assert printed.endswith("the log still proves what it claims; it makes no claim about goals")
     assert inspect([str(log), "--json"]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]
     parts_of = {run["name"]: [finding["part"] for finding in run["findings"]] for run in runs}

@@ -118,8 +118,8 @@ def test_wrong_goals_are_refused_in_one_line(section, said):
 
 
 def test_a_corner_needs_signals_of_its_own():
-    """A signal of the whole body, as the heave velocity, is of no corner."""
-    with refused("'heave_velocity' is of no corner"):
+    """A signal of the whole body, as the heave velocity, belongs to no corner."""
+    with refused("'heave_velocity' belongs to no corner"):
         vehicle_with('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "half_car")
 
 

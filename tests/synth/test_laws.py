@@ -24,7 +24,8 @@ from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.analysis.certificate import Certificate, certify
 from synth.controller.controller import Controller
-from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
+from synth.controller.loop_transfer import loop_transfer
+from synth.controller.open_loop import LoopModel
 from synth.controller.problem import generalized_plant
 from synth.controller.stability_margins import (
     crossovers,
@@ -151,7 +152,7 @@ def test_margins_of_a_loop_with_an_accelerometer(acceleration):
     assert abs(np.linalg.eigvals(scaled.loop(vehicle).A).real.max()) < 1e-7 * np.abs(loop.A).max()
     at = np.exp(-1j * found.frequency * found.delay)
     assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
-    Phi, Gamma, G = sampled_loop_transfer(vehicle, one, largest_sample_period(loop))
+    Phi, Gamma, G = LoopModel(vehicle, one, largest_sample_period(loop)).cut()
     assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
 
 
@@ -178,7 +179,7 @@ def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_wi
     mass = vehicle.parameters["sprung_mass"]
     one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(-np.full((1, 1), mass / 5)))
     assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(5, rel=1e-9)]
-    errors = [sampled_gain_crossings(*sampled_loop_transfer(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
+    errors = [sampled_gain_crossings(*LoopModel(vehicle, one, step).cut())[0] - 5 for step in (1e-4, 5e-5)]
     assert 0 < errors[0] < 0.01  # of first order in the step
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.01)
 
@@ -284,7 +285,7 @@ def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
     assert loop.comes_back == pytest.approx(share, rel=1e-12)
     radii = [
         np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max()
-        for Phi, Gamma, G in (sampled_loop_transfer(vehicle, one, h) for h in (1e-3, 1e-6))
+        for Phi, Gamma, G in (LoopModel(vehicle, one, h).cut() for h in (1e-3, 1e-6))
     ]
     if share < 1:
         assert found.delay > 0

@@ -315,7 +315,7 @@ def test_a_forged_preview_is_found(log, forged, said):
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ('design = "preview"', "preview is missing; give seconds, as in preview = 0.5"),
+        ('design = "preview"', "needs its preview of the road ahead; give seconds, as in preview = 0.5"),
         ('design = "preview"\npreview = -1', "preview = -1 is not allowed; give seconds from 0 to 60"),
         ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" is of the state'),
         ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: it is of the state itself"),
@@ -331,26 +331,26 @@ def test_bad_sections(section, said):
 def test_a_filter_has_states_that_none_measures():
     """A filtered weight, or road, is refused in a line about previews."""
     text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
-    with refused("a preview is of the measured state", "give constant weights"):
+    with refused("a preview needs a measured state", "give constant weights"):
         Designer(parse_vehicle(text)).design("ahead")
 
 
 def test_dampers_cannot_push():
     """A vehicle of adjustable dampers has no such design, and says why."""
-    with refused("acts before the road does, and semi-active dampers only resist motion"):
+    with refused("acts before the road does, but semi-active dampers only resist motion"):
         parse_vehicle(read_vehicle("quarter_car_semi_active").text + SECTION.format(0.5))
 
 
 def test_what_holds_a_law_alone_refuses_it(tmp_path):
     """Saved sections, exports and state-space systems hold a law of what is measured, and say that a preview is none."""
-    vehicle, designed, said = car(), controller(), "controller 'ahead' answers the road ahead"
+    vehicle, designed, said = car(), controller(), "controller 'ahead' has a preview of the road"
     for holds in (
         lambda: saved_text(tmp_path / "saved.toml", vehicle, [designed]),
         lambda: law_system(vehicle, designed),
         lambda: closed_loop(vehicle, designed),
         lambda: mat_file(vehicle, [designed]),
     ):
-        with refused(said, "name a controller without preview"):
+        with refused(said, "choose a controller without preview"):
             holds()
 
 

@@ -220,7 +220,7 @@ def test_small_noise_and_cost_are_taken_as_given(part, cost):
 def test_noise_too_small_for_floats():
     """Noise that no Riccati equation in floats keeps is refused in a line that gives its size, and never replaced."""
     plant, Cy, noise = little_noise(1e-4)
-    with pytest.raises(DesignError, match=r"noise of a measurement is \S+ of the plant's own size.*give more, or none"):
+    with pytest.raises(DesignError, match=r"noise of a measurement is \S+ of the plant's own size.*give more, or omit it"):
         lqg_design(plant, Cy, noise)
 
 
@@ -230,7 +230,7 @@ def test_lqg_without_a_sample_period():
         f"{read_vehicle('quarter_car').text}\n[implementation]\nnoise = {{ sprung_velocity = 0.01 }}\n"
         '[controllers.q]\nmeasured = ["sprung_velocity"]\ndesign = "lqg"\n'
     )
-    with pytest.raises(DesignError, match=r"'q': LQG takes noise as .* gives noise without sample_period; give both, or neither"):
+    with pytest.raises(DesignError, match=r"'q': LQG uses white noise .* has noise without sample_period; give both, or neither"):
         Designer(car).design("q")
 
 

@@ -157,7 +157,7 @@ def test_refused_where_it_is_done(tmp_path, capsys):
     with pytest.raises(InputError, match="sampled = true with --zero-l: only the two steps have an L"):
         designer.design("I", zero_l=True)
     lost = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None))
-    with pytest.raises(InputError, match=r"\[implementation\] gives no sample period"):
+    with pytest.raises(InputError, match=r"\[implementation\] has no sample period"):
         Designer(lost).design("I")
 
 
@@ -241,11 +241,11 @@ def test_long_delays():
     """For many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")
     assert (
-        "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.fallback_method
+        "the LMI problem has 630 unknowns, and the two-step method for sampled loops takes at most 260" in found.fallback_method
     )
     assert "force more" not in found.fallback_method
     start = time.process_time()
-    with pytest.raises(TooLargeError, match=r"forces of 50 samples on their way make it 108 states") as caught:
+    with pytest.raises(TooLargeError, match=r"a delay of 50 samples gives the loop 108 states") as caught:
         Designer(asked("half_car", period=0.001, delay=50)).design("II")
     assert time.process_time() - start < 5  # a second or so; before it was minutes
     assert "\n" not in str(caught.value)

@@ -61,5 +61,5 @@ def test_where_none_is_found_it_says_so():
         D=np.array([[0.0], [0.1]]),
         Dw=np.zeros((2, 1)),
     )
-    with pytest.raises(DesignError, match="no law was found that is stable by itself"):
+    with pytest.raises(DesignError, match="every law found is unstable by itself"):
         full_order_design(plant, np.array([[1.0, 0.0]]), stable=True)

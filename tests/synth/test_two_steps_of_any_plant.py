@@ -374,7 +374,7 @@ def test_what_a_refinement_says_is_the_norm(seed):
 
 
 TOO_LARGE = (
-    "the LMI problem has 15 unknowns, and the two steps are gone with at most 14; take states out of the model"  # 10 + 4 + 1
+    "the LMI problem has 15 unknowns, and the two-step method takes at most 14; remove states from the model"  # 10 + 4 + 1
 )
 
 
@@ -406,11 +406,11 @@ def test_at_the_limit_the_two_steps_are_gone(designer, monkeypatch):
 def test_too_large_for_a_path(designer, monkeypatch):
     """State feedback has a limit of its own, and nothing to go on with."""
     monkeypatch.setattr("synth.lmi.central_path.MOST", 14)
-    with pytest.raises(TooLargeError, match="the LMI problem has 15 unknowns, and the central path is followed with at most 14"):
+    with pytest.raises(TooLargeError, match="the LMI problem has 15 unknowns, and the central path takes at most 14"):
         state_path(designer.plant)
     with pytest.raises(TooLargeError, match="controller 'state': the LMI problem has 15 unknowns"):
         Designer(designer.vehicle).design("state")
-    assert "the central path is followed with at most 14" in Designer(designer.vehicle).design("I").fallback_method
+    assert "the central path takes at most 14" in Designer(designer.vehicle).design("I").fallback_method
 
 
 @pytest.mark.attack

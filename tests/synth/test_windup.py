@@ -83,7 +83,7 @@ def test_a_law_that_is_unstable_by_itself_is_called_so(wound_up):
     row = Row(controller.name, controller, (), ())
     for lines in (controller_notes(vehicle, controller), [one.text for one in details(vehicle, row).statements]):
         assert [line.strip() for line in lines if said in line] == [
-            f"{said} and winds up where forces are clipped; anti_windup bounds its states"
+            f"{said} and winds up when forces are clipped; anti_windup bounds its states"
         ]
     for found in (controller_object(controller), row_object(row)):
         assert found["law_growth"] == pytest.approx(SLOW)

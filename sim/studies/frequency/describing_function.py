@@ -103,13 +103,12 @@ def describing_function(
                 parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
                 continue
             before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
-            parts.append(
-                (*_found(vehicle, units, last, each), _found(vehicle, units, before, each)[0], settled_gain(vehicle, last, each))
-            )
+            earlier, _ = _found(vehicle, units, before, each)
+            parts.append((*_found(vehicle, units, last, each), earlier, settled_gain(vehicle, last, each)))
     measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
     diverged = np.array(times)
     size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
-    scale = np.maximum(size, SILENT * size.max(axis=0))  # where it is next to nothing it need not be steady
+    scale = np.maximum(size, SILENT * size.max(axis=0))  # a fundamental that is almost zero need not be steady
     change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
     drift = float(np.where(np.isnan(outside), 0.0, change).max())
     values = (measured, outside, gains, drift, without, tuple(ended))

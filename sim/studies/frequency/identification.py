@@ -11,7 +11,7 @@ which may not be.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -44,7 +44,7 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
         return None
     period = float(response.time[1] - response.time[0])
     z = [_weighted(vehicle, side, period) for side in _sides(vehicle, response, periodic=False)]
-    return _size(z) / float(np.linalg.norm(_roads(vehicle, response)))
+    return _size(z) / _road_size(vehicle, response)
 
 
 def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
@@ -62,7 +62,7 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
         shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
     else:
         z = [_weighted(vehicle, side, period) for side in sides]
-    return float(shape * _size(z) / np.linalg.norm(_roads(vehicle, response)))
+    return float(shape * _size(z) / _road_size(vehicle, response))
 
 
 def mean_square(vehicle: Vehicle, response: Response) -> float:
@@ -93,15 +93,17 @@ def _size(sides: Sequence[Array]) -> float:
 
 def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic: bool) -> Array:
     """Returns the output signals and sums as they are before the forces of each sample replace those of the one before, shape
-    (T, p); before the first sample are those of the last in periods, and none otherwise.
+    (T, p); before the first sample are those of the last in periods, and none otherwise. Behind a lag they are the same.
     """
-    forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
+    if vehicle.limits.actuator_bandwidth is not None:
+        return signals
+    forces = _columns(response, vehicle.linear_model.inputs)
     before = forces[-1:] if periodic else np.zeros((1, forces.shape[1]))
-    return signals - np.diff(forces, axis=0, prepend=before) @ _at_once(vehicle).T
+    return signals - np.diff(forces, axis=0, prepend=before) @ vehicle.summed(vehicle.linear_model.D, axis=0).T
 
 
 def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
-    """z of the output signals and sums, shape (T, p) both."""
+    """Returns z for the output signals and sums, shape (T, p) both."""
     weighted = [(vehicle.performance.get(name, 0.0), vehicle.filters.get(name)) for name in vehicle.linear_model.outputs]
     weighted += [(one.weight, one.filter) for one in vehicle.sums]
     rows = [
@@ -113,21 +115,21 @@ def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
 
 def _signals(vehicle: Vehicle, response: Response) -> Array:
     """Returns the output signals of a run and the sums in z, shape (T, p)."""
-    return vehicle.summed(np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1))
+    return vehicle.summed(_columns(response, vehicle.linear_model.outputs))
 
 
-def _at_once(vehicle: Vehicle) -> Array:
-    """Returns the direct effect of requested forces on signals and sums, shape (p, m): zero behind a lag."""
-    D = vehicle.summed(vehicle.linear_model.D, axis=0)
-    return D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(D)
+def _columns(response: Response, names: Iterable[str]) -> Array:
+    """Returns some signals of a run, shape (T, number of them)."""
+    return np.stack([response[name] for name in names], axis=-1)
 
 
-def _roads(vehicle: Vehicle, response: Response) -> Array:
-    return np.stack([response[wheel.road_velocity] for wheel in vehicle.kind.wheels], axis=-1)
+def _road_size(vehicle: Vehicle, response: Response) -> float:
+    """Returns the norm of the road's velocity under all wheels."""
+    return float(np.linalg.norm(_columns(response, [wheel.road_velocity for wheel in vehicle.kind.wheels])))
 
 
 def _filtered(one: Filter, values: Array, period: float) -> Array:
-    """A signal through a filter, from rest."""
+    """Returns a signal through a filter, from rest."""
     law = LinearLaw(*one.realisation).sampled(period)
     from scipy.signal import dlsim  # half a second
 
@@ -262,20 +264,17 @@ def fit(
         samples: number of samples that are fitted.
         besides: other lines [rad/s] that are in it, and are not asked for.
     """
-    if steps_per_sample(vehicle.implementation, float(response.time[1] - response.time[0])) > 1 and controller.measured:
-        loop = LoopModel(vehicle, controller, float(response.time[1] - response.time[0]))
-        end = Response(response.time[-samples:], response.signals, response.values[-samples:])
-        response = without_slow_motion(loop, end, settling_of(loop, SETTLED)[1], omega * loop.period)
-    time, values = response.time[-samples:], response.values[-samples:]
-    samples = len(time)
-    if not np.all(np.isfinite(values)):
+    response, timestep = response.samples(slice(-samples, None)), float(response.time[1] - response.time[0])
+    if steps_per_sample(vehicle.implementation, timestep) > 1 and controller.measured:
+        loop = LoopModel(vehicle, controller, timestep)
+        response = without_slow_motion(loop, response, settling_of(loop, SETTLED)[1], omega * loop.period)
+    time, samples = response.time, len(response.time)
+    if not np.all(np.isfinite(response.values)):
         return {name: np.full(len(omega), np.nan + 0j) for name in response.names}
-    timestep = float(time[1] - time[0])
     angle = np.multiply.outer(time, omega if besides is None else np.concatenate([omega, besides]))
-    shapes = np.hstack(
-        [np.ones((samples, 1)), np.cos(angle), -np.sin(angle), _free_motion(vehicle, controller, timestep, samples)]
-    )
-    coefficients = np.linalg.lstsq(shapes, values)[0]
+    free = _free_motion(vehicle, controller, float(time[1] - time[0]), samples)
+    shapes = np.hstack([np.ones((samples, 1)), np.cos(angle), -np.sin(angle), free])
+    coefficients = np.linalg.lstsq(shapes, response.values)[0]
     count = angle.shape[1]
     lines = coefficients[1 : 1 + count] + 1j * coefficients[1 + count : 1 + 2 * count]
     return dict(zip(response.names, lines[: len(omega)].T, strict=True))

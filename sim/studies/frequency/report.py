@@ -36,7 +36,7 @@ RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
     Field("to continuous", lambda one: one.error(one.continuous).max(), error_digits),
-    Field("order of the two", lambda one: one.order, ".2f"),
+    Field("order of convergence", lambda one: one.order, ".2f"),
 )
 SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
@@ -48,7 +48,7 @@ GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
     Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
-    Field("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
+    Field("share of norm", lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format, 100.0),
     *(Field[Sweep](road, lambda one, road=road: one.gains.get(road), "{:.4g}".format) for road in ("bump", "chirp", "random")),
 )
 NORMS: tuple[Field[Sweep], ...] = (
@@ -62,7 +62,7 @@ NORMS: tuple[Field[Sweep], ...] = (
 INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("controller", lambda of: of[0]),
     Field("invariant", lambda of: f"|{of[1].name}|"),
-    Field("at", lambda of: of[1].omega, ".2f", unit="rad/s"),
+    Field("frequency", lambda of: of[1].omega, ".2f", unit="rad/s"),
     Field("for any suspension", lambda of: of[1].expected, ".6f"),
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
     Field("difference", lambda of: of[1].error, error_digits),
@@ -73,15 +73,15 @@ MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
     Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
     Field("fundamental", lambda of: np.nanmax(np.abs(of[0].measured[:, of[1]])), "{:.4g}".format),
     Field("at [Hz]", lambda of: of[0].omega[np.nanargmax(np.abs(of[0].measured[:, of[1]]))], "{:.3g}".format, HZ),
-    Field("energy outside", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
-    Field("at, in Hz", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
+    Field("energy elsewhere", lambda of: np.nanmax(of[0].outside[:, of[1]]), percent),
+    Field("most at [Hz]", lambda of: of[0].omega[np.nanargmax(of[0].outside[:, of[1]])], "{:.3g}".format, HZ),
 )
 LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("controller", lambda of: of[0]),
-    Field("wheel's", lambda of: of[1].tyre.replace("_", " ")),
+    Field("tyre", lambda of: of[1].tyre.replace("_", " ")),
     Field("least load, predicted", lambda of: of[1].ratio, ".2f", 100, unit="%"),
     Field("MuJoCo", lambda of: of[1].measured, ".2f", 100, unit="%"),
-    Field("at", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
+    Field("frequency", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
     Field("linear regime ended by", lambda of: of[1].end or "-"),
 )
 
@@ -110,7 +110,9 @@ def describe(
     if lines:
         tables.append(Table.of("frequency-responses", "Frequency responses in MuJoCo and in linear analysis.", RESPONSES, lines))
     if sweeps:
-        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, sweeps), *_details(sweeps)]
+        bounded = [one for one in sweeps if one.is_bounded]
+        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, bounded)] * bool(bounded)
+        tables += _details(sweeps)
     if own:
         caption = "Describing functions: fundamentals per road velocity, and the energy at other frequencies."
         moving = [(one, i) for one in own for i in one.moving]
@@ -144,7 +146,9 @@ def _largest(one: Sweep | None) -> str:
     """Returns a sentence on the gains of a sweep whose claims hold, or an empty one without a sweep."""
     if one is None:
         return ""
-    if one.extremes.lti:
+    if not one.is_bounded:
+        text = "No sinusoid is the worst, as the loop has no finite norm"
+    elif one.extremes.lti:
         text = "The worst sinusoid reaches the held-road norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
@@ -196,7 +200,8 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
     invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
     norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
     yield Table.of("signals", "Largest errors of the frequency responses of each signal.", SIGNALS, signals, 2, detail="full")
-    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, sweeps, detail="full")
+    bounded = [one for one in sweeps if one.is_bounded]
+    yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, bounded, detail="full")
     if invariants:
         caption = "Transmissibilities from the road that no suspension force can change."
         yield Table.of("invariants", caption, INVARIANTS, invariants, 2, detail="full")

@@ -13,7 +13,7 @@ each new force. Its mean square is then exact to the square of the step.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -22,6 +22,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.printed import finite_pairs
 from models.roads.road import Bump, Road, RoadInput
 from models.roads.sinusoids import Multisine, random_road, sinusoid
 from models.roads.spectrum import as_met
@@ -89,12 +90,9 @@ class PerWheelRoad(Road):
             duration: duration of the run [s].
         """
         wheels = vehicle.kind.wheels
-        behind = sorted({wheel.behind(vehicle.parameters) for wheel in wheels})
-        speed = min((float(gap) for gap in np.diff(behind)), default=duration) / (2 * duration)
-        each = [
-            (wheel.side, wheel.behind(vehicle.parameters) / speed, tuple(c.tolist()))
-            for wheel, c in zip(wheels, waves.T, strict=True)
-        ]
+        behind = [wheel.behind(vehicle.parameters) for wheel in wheels]
+        speed = min(np.diff(sorted({*behind})).tolist(), default=duration) / (2 * duration)
+        each = [(wheel.side, at / speed, tuple(c)) for wheel, at, c in zip(wheels, behind, waves.T.tolist(), strict=True)]
         return cls(tuple(omega.tolist()), tuple(sorted(each, key=lambda one: -one[1])), speed)
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -116,9 +114,7 @@ class PerWheelRoad(Road):
 
     def describe(self) -> dict[str, Any]:
         """Returns the frequencies, and each wheel's amplitudes."""
-        waves = [
-            {"side": side, "late": late, "real": np.real(c).tolist(), "imag": np.imag(c).tolist()} for side, late, c in self.waves
-        ]
+        waves = [{"side": side, "late": late, "amplitudes": finite_pairs(c)} for side, late, c in self.waves]
         return {"type": "apart", "omega": list(self.omega), "waves": waves, "speed": self.speed}
 
     def scaled(self, factor: float) -> "PerWheelRoad":
@@ -128,11 +124,10 @@ class PerWheelRoad(Road):
     def _sum(self, t: Array, side: str, integral: Array | None) -> Array:
         """The velocity, or the height, which begins at zero."""
         total = np.zeros(np.shape(t))
-        for own, late, c in self.waves:  # the last wheel first: where the next one is its road ends
+        for own, late, c in self.waves:  # the last wheel first: its road ends where that of the next one begins
             here = (t >= -late) & (side == own)
-            waves = np.array(c) if integral is None else np.array(c) / integral
             turning = np.exp(1j * np.multiply.outer(t[here] + late, np.array(self.omega)))
-            total[here] = np.real((turning if integral is None else turning - 1) @ waves)
+            total[here] = np.real(turning @ np.array(c) if integral is None else (turning - 1) @ (np.array(c) / integral))
         return total
 
 
@@ -213,36 +208,31 @@ def extremes(
     if special:
         together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
         roads["invariants"] = together.to_height(amplitude, time)
-    count, on = len(controllers), [RoadInput(vehicle, road, time) for road in roads.values() for _ in controllers]
-    every = [*driven([*controllers] * len(roads), on)]
-    responses = {name: every[k * count : (k + 1) * count] for k, name in enumerate(roads)}
-    worst, integrated = (
-        [
-            worst_sinusoid(
-                vehicle,
-                lambda omega, c=c, e=exponential: sampled_frequency_response(vehicle, c, omega, timestep, e),
-                np.pi / timestep,
-                speed,
-            )
-            for c in controllers
-        ]
-        for exponential in (linalg.expm, taylor4)
+    every = driven(
+        [controller for controller in controllers for _ in roads],
+        [RoadInput(vehicle, road, time) for _ in controllers for road in roads.values()],
     )
-    settled, tried = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
 
+    def worst_of(controller: Controller, exponential: Callable[[Array], Array]) -> WorstSinusoid:
+        def response(omega: Array) -> Array:
+            return sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
+
+        return worst_sinusoid(vehicle, response, np.pi / timestep, speed)
+
+    worst = [worst_of(controller, linalg.expm) for controller in controllers]
+    driven_worst = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
     results = []
-    for i, controller in enumerate(controllers):
-        runs = {name: of_each[i] for name, of_each in responses.items()}
-        winds_up = has_anti_windup(controller)
-        ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run, winds_up))
-        invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
-        gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
-        others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
-        gains |= {name: gain for name, gain in others.items() if gain is not None}
+    for controller, one, (settled, tried) in zip(controllers, worst, driven_worst, strict=True):
+        runs, winds_up = dict(zip(roads, every, strict=False)), has_anti_windup(controller)  # the next ones, of this controller
+        ended = dict.fromkeys(name for run in (settled, *runs.values()) for name in ended_by(vehicle, run, winds_up))
+        invariants = _measured(vehicle, controller, runs.pop("invariants"), len(time) // 2, timestep) if special else ()
+        gains = {"worst sinusoid": settled_gain(vehicle, settled, tried)}
+        gains |= {name: gain for name, run in runs.items() if (gain := l2_gain(vehicle, run)) is not None}
         steps = () if lti else (timestep, timestep / 2)
-        predicted = tuple(_sinusoid_gain(vehicle, controller, tried[i], h, speed) for h in steps)
-        results.append(Extremes(worst[i], integrated[i].gain, tried[i], predicted, gains, invariants, tuple(ended), lti))
+        predicted = tuple(_sinusoid_gain(vehicle, controller, tried, h, speed) for h in steps)
+        integrated = worst_of(controller, taylor4).gain
+        results.append(Extremes(one, integrated, tried, predicted, gains, invariants, tuple(ended), lti))
     return results
 
 
@@ -262,8 +252,8 @@ def _drive_worst(
     amplitude: float,
     timestep: float,
     speed: float,
-) -> tuple[list[Response], list[float]]:
-    """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
+) -> Iterator[tuple[Response, float]]:
+    """Yields, for every controller, its worst sinusoid's last whole periods, once it has settled, and its frequency [rad/s]."""
     samples = [_next_to(one, vehicle, each, timestep, speed) for one, each in zip(worst, controllers, strict=True)]
     tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
     loops = [LoopModel(vehicle, controller, timestep) for controller in controllers]
@@ -272,13 +262,14 @@ def _drive_worst(
     time = sample_times(vehicle, max(settling) + timestep * max(lengths), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
     physics = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    last = []
     for i, (loop, poles, omega, length) in enumerate(zip(loops, slow, tried, lengths, strict=True)):
-        run = physics.run(i)
-        end = Response(time[-length:], run.signals, run.values[-length:])
-        steady, count = without_slow_motion(loop, end, poles, np.array([omega * loop.period])), samples[i][1]
-        last.append(Response(steady.time[-count:], steady.signals, steady.values[-count:]))
-    return last, tried
+        steady = _steady(loop, physics.run(i), length, poles, omega * loop.period)
+        yield steady.samples(slice(-samples[i][1], None)), omega
+
+
+def _steady(loop: LoopModel, response: Response, length: int, poles: Array, turn: float) -> Response:
+    """Returns the last samples of a run along a road that turns by an angle [rad] from sample to sample, without slow motion."""
+    return without_slow_motion(loop, response.samples(slice(-length, None)), poles, np.array([turn]))
 
 
 def _told(loop: LoopModel, poles: Array, count: int) -> int:
@@ -324,10 +315,9 @@ def _measured(
 
 
 FINE = 2.5e-4  # s, of a step at most: a wheel hop turns by a sixtieth of a radian in it, of which the square counts
-FEWEST, SHORTEST_STEP = 8, 1e-4  # steps in a sample, where they need not be shorter than so [s]
-MOST_LINES = 6  # of either sign beside the angle's own
-NEAR = 3e-4  # relative: how far from the worst angle the one is that is driven, a hundredth of the least damped mode's width
-PERIODIC_SETTLED = 1e-6  # what is left of free motion when the gain is read
+FEWEST, SHORTEST_STEP = 8, 1e-4  # steps in a sample, unless they would be shorter than this [s]
+MOST_LINES = 6  # of either sign in addition to the angle's own
+NEAR = 3e-4  # relative distance of the driven angle from the worst one: a hundredth of the least damped mode's width
 
 
 @dataclass(frozen=True)
@@ -374,13 +364,14 @@ def worst_roads(
     for i, (controller, norm) in enumerate(zip(controllers, norms, strict=True)):
         if norm is not None and not norm.inside:
             loop, turn = LoopModel(vehicle, controller, h), _turn(norm.angle)
-            settling, slow = settling_of(loop, PERIODIC_SETTLED)
+            settling, slow = settling_of(loop, SETTLED)
             plans[i] = loop, turn, slow, _told(loop, slow, turn.denominator * steps + 1)
             until = max(until, settling + (plans[i][-1] + 1) * h)
     roads, inputs = list[WorstRoad | None]([None] * len(controllers)), list[RoadInput]()
     if not plans:
         return roads
-    time, most, twisted = sample_times(vehicle, until, h), _most_lines(steps), len(road_twist_inputs(vehicle.linear_model)) > 0
+    time, twisted = sample_times(vehicle, until, h), len(road_twist_inputs(vehicle.linear_model)) > 0
+    most = max(0, min((steps - 2) // 4, MOST_LINES))
     sizes = []
     for i, (_, turn, *_) in plans.items():
         predicted, waves, omega = _worst(vehicle, controllers[i], 2 * math.pi * float(turn), h, most)
@@ -390,11 +381,9 @@ def worst_roads(
     runs = driven([controllers[i] for i in plans], inputs)
     for (i, (loop, turn, slow, length)), (predicted, scale), response in zip(plans.items(), sizes, runs, strict=True):
         angle, count = 2 * math.pi * float(turn), turn.denominator * steps
-        # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude,
-        # but where every one is there twice.
-        end = Response(time[-length:], response.signals, response.values[-length:])
-        end = without_slow_motion(loop, end, slow, np.array([angle]))
-        last = Response(end.time[-count - 1 :], end.signals, end.values[-count - 1 :])
+        # The sample before the last periods gives the first leap. The mean square of a sinusoid is half that of its amplitude,
+        # unless every sinusoid is there twice.
+        last = _steady(loop, response, length, slow, angle).samples(slice(-count - 1, None))
         gain = math.sqrt(mean_square(vehicle, last)) / (scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5)))
         finer, _, _ = _worst(vehicle, controllers[i], angle, h / 2, most)
         ended = ended_by(vehicle, response, has_anti_windup(controllers[i]))
@@ -410,10 +399,6 @@ def _turn(angle: float) -> Fraction:
         if abs(float(turn) - share) <= NEAR * share or most > 10 / NEAR:
             return turn
         most *= 2
-
-
-def _most_lines(steps: int) -> int:
-    return max(0, min((steps - 2) // 4, MOST_LINES))
 
 
 def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float, most: int) -> tuple[float, Array, Array]:

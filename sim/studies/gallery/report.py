@@ -35,7 +35,7 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     fails = [f"{one.printed.text} is {WRONG}: {exact.cell(one)}, not {one.printed.shown}." for one in wrong]
     origin = f"Entry `{entry.name}`.", entry.about, f"Source: {entry.source}. Licence: {entry.licence}."
     text = [" ".join(filter(None, origin))]
-    text += dict.fromkeys(f"Reason of a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
+    text += dict.fromkeys(f"Reason for a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
     text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
     text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
     shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]

@@ -6,7 +6,6 @@ Samples alone, as MuJoCo's, are joined by cubics through the four nearest; a hel
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,12 +55,8 @@ class Pieces:
         """Returns these pieces, then those of a whole run but for its first steps."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
-        both = [np.concatenate([mine, theirs[steps:]]) for mine, theirs in zip(self._parts, whole._parts, strict=True)]
-        return Pieces(*both)
-
-    @property
-    def _parts(self) -> tuple[Array, Array, Array]:
-        return self.start, self.length, self.values
+        both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
+        return Pieces(*map(np.concatenate, both))
 
     def since(self, time: float) -> "Pieces":
         """Returns the steps that begin at a time [s] or later."""
@@ -102,12 +97,11 @@ class Pieces:
     def largest(self) -> tuple[float, float]:
         """Returns the largest value and its time [s]."""
         most, spread = self.values.max(axis=1), np.ptp(self.values, axis=1)
-        floor = float(most.max())
+        floor, first = float(most.max()), int(most.argmax())
         possible = np.flatnonzero(most + BULGE * spread >= floor)
-        found = (floor, self.time(first := int(most.argmax()), self._point(int(self.values[first].argmax()))))
-        for k in possible[np.argsort(-(most + BULGE * spread)[possible])][:8]:
-            found = max(found, self._largest_in(int(k)), key=lambda one: one[0])
-        return found
+        found = floor, self.time(first, 2 * int(self.values[first].argmax()) / (self.values.shape[1] - 1) - 1)
+        likeliest = possible[np.argsort(-(most + BULGE * spread)[possible])][:8].tolist()
+        return max([found, *map(self._largest_in, likeliest)], key=lambda one: one[0])
 
     def last_above(self, value: float) -> float | None:
         """Returns the last time [s] at which the signal's size exceeds a value: infinite at the end, None if it never does."""
@@ -123,7 +117,7 @@ class Pieces:
             return None
         if size[last, -1] > value:
             return np.inf if last == len(self.start) - 1 else self.time(last, 1.0)
-        crossings = [x for side in (value, -value) for x in _roots(_shifted(self.polynomial(last), -side))]
+        crossings = [x for side in (value, -value) for x in _roots(chebyshev.chebsub(self.polynomial(last), [side]))]
         return self.time(last, max(crossings, default=1.0))
 
     def integral_of_size(self) -> tuple[float, float]:
@@ -146,9 +140,6 @@ class Pieces:
             plain[k] = part.sum()
             timed[k] = (part * (self.start[k] + self.length[k] * (x + 1) / 2)).sum()
         return float(plain.sum()), float(timed.sum())
-
-    def _point(self, i: int) -> float:
-        return 2 * i / (self.values.shape[1] - 1) - 1
 
     def _largest_in(self, k: int) -> tuple[float, float]:
         """Returns the largest value in a step, and its time [s]."""
@@ -224,13 +215,10 @@ def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
             push = push + model.B @ readings_of_road(cut, loop.controller)[:, wheel]
         leaps += height * (row @ push + model.Cr[i, wheel]) * _begins(start, at, length)
         if cut is not None and preview is not None:  # the road ahead begins to hold the jump, and no longer does
-            seen = model.D[i, : cut.forces] @ preview.C
-            leaps += (
-                height
-                * (seen @ linalg.expm(preview.A * preview.seconds) @ preview.B[:, wheel])
-                * _begins(start, at - preview.seconds, length)
-            )
-            leaps -= height * (seen @ preview.B[:, wheel]) * _begins(start, at, length)
+            seen, enters = model.D[i, : cut.forces] @ preview.C, preview.B[:, wheel]
+            ahead = seen @ linalg.expm(preview.A * preview.seconds) @ enters
+            leaps += height * ahead * _begins(start, at - preview.seconds, length)
+            leaps -= height * (seen @ enters) * _begins(start, at, length)
     return leaps
 
 
@@ -283,18 +271,9 @@ def _integral(points: int) -> Array:
     return even @ _fit(points)
 
 
-def _shifted(coefficients: Array, by: float) -> Array:
-    moved = coefficients.copy()
-    moved[0] += by
-    return moved
-
-
-def _roots(coefficients: Array) -> Iterator[float]:
-    """Returns the real roots within -1..1 in their order."""
-    size = np.abs(coefficients)
-    if not size.any():
-        return iter(())
-    trimmed = chebyshev.chebtrim(coefficients, 1e-15 * float(size.max()))
+def _roots(coefficients: Array) -> list[float]:
+    """Returns the real roots within -1..1, in ascending order."""
+    trimmed = chebyshev.chebtrim(coefficients, 1e-15 * float(np.abs(coefficients).max()))
     roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
-    return iter(np.sort(real[(real > -1) & (real < 1)]).tolist())
+    return np.sort(real[(real > -1) & (real < 1)]).tolist()

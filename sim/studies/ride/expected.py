@@ -59,7 +59,7 @@ from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equiv
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, continuous
+from synth.controller.open_loop import LoopModel, continuous, heights_read
 
 STILL = 1e-12  # relative to the largest variance in the same unit: a signal with less does not move
 
@@ -102,8 +102,11 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     implemented = whole.closed_loop
     loop, cut, model = implemented.transition, implemented.open_loop, implemented.open_loop.model
     C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.parts[0].inputs
-    raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), model.Br)
-    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.pending_forces)])
+    read = heights_read(cut, controller)
+    pushed = model.Br + model.B @ cut.inputs(*np.split(read, [cut.forces])) if read.any() else model.Br
+    raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), pushed)
+    raised = np.vstack([raised, *([cut.asked @ raised + read[: cut.forces]] * vehicle.implementation.pending_forces)])
+    Cr = model.Cr + model.D @ implemented.parts[0].feedthrough @ read
 
     period = whole.period
     sample = round(start / period)
@@ -116,9 +119,9 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     def amplitudes(omega: Array) -> Array:
         """Returns A and B by source, shape (F, 2 p, 2)."""
         X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
-        steady, left = C @ X + model.Cr / s, np.zeros((len(omega), len(C), len(late)), dtype=complex)
+        steady, left = C @ X + Cr / s, np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
-            left[..., j] = (left_behind[int(late[j])] @ (X - raised / s) + (C @ raised + model.Cr) / s)[..., j]
+            left[..., j] = (left_behind[int(late[j])] @ (X - raised / s) + (C @ raised + Cr) / s)[..., j]
         shares, inputs = tracks(vehicle, road, omega), as_met(vehicle, omega, road.speed)[..., None]
         return np.concatenate([steady[..., here] @ (inputs * shares)[:, here], left @ shares], axis=1)
 
@@ -126,7 +129,7 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
         """Returns the final variance per Hz, shape (F, p), with all wheels on the road."""
         X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
         wheel_roads = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
-        return power_of((C @ X + model.Cr / s) @ wheel_roads)
+        return power_of((C @ X + Cr / s) @ wheel_roads)
 
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)

@@ -58,14 +58,9 @@ def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
 
 def angle_metrics(angle: Array) -> dict[str, Array]:
     """Returns the metrics of `KINDS`, in degrees, shape (N,), for an angle [rad] over time, shape (N, B)."""
-    largest, smallest = angle.max(axis=1), angle.min(axis=1)
-    zero = np.zeros(len(angle))
-    metrics = {
-        "dive": np.maximum(largest, zero),
-        "squat": np.maximum(-smallest, zero),
-        "peak": np.maximum(largest, -smallest),
-        "at_end": angle[:, -1],
-    }
+    largest, smallest, zero = angle.max(axis=1), angle.min(axis=1), np.zeros(len(angle))
+    metrics = {"dive": np.maximum(largest, zero), "squat": np.maximum(-smallest, zero)}
+    metrics |= {"peak": np.maximum(largest, -smallest), "at_end": angle[:, -1]}
     return {name: DEGREES * value for name, value in metrics.items()}
 
 
@@ -224,15 +219,10 @@ class Meter:
             name: np.array([(one.stops[name].bump.stroke, one.stops[name].rebound.stroke) for one in vehicles]).T[..., None]
             for name in self.vehicle.stops
         }
-        tyres = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
-        self.damped = {
-            name: (
-                names.index(tyre.hub),
-                names.index(tyre.road),
-                np.array([one[name].time if name in one else 0.0 for one in tyres]),
-            )
-            for name, tyre in {name: tyre for one in tyres for name, tyre in one.items()}.items()
-        }
+        damped = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
+        tyres = {name: tyre for one in damped for name, tyre in one.items()}
+        times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in tyres}
+        self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in tyres.items()}
         # Coefficients of every angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
@@ -312,26 +302,23 @@ class Meter:
     def result(self) -> dict[str, Array]:
         """Returns every metric, shape (N,)."""
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
-        values: dict[str, Array] = dict(self.ends)
+        values = self.ends | {name: largest for name, largest in self.largest.items() if name.endswith("_peak")}
+        values |= {name: np.sqrt(square) for name, square in mean.items() if name.endswith(("_rms", "_weighted"))}
+        values |= {
+            name: mean[name] for name in (*(f"{one}_at_stops" for one in self.strokes), *map(off_ground, self.where.tyres))
+        }
         for name in self.where.accelerations:
-            weighted = np.sqrt(mean[f"{name}_weighted"])
-            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_weighted": weighted}
+            weighted = values[f"{name}_weighted"]
+            still = weighted == 0
             values[f"{name}_vdv"] = (mean[f"{name}_vdv"] * duration) ** 0.25
             values[f"{name}_mtvv"] = np.sqrt(self.largest[f"{name}_mtvv"])
-            still = weighted == 0
             values[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
-        for name in self.where.suspensions:
-            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
-            if name in self.strokes:
-                values[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
         for name in self.where.tyres:
             shift = np.where(self.pushed, mean.get(f"{dynamic_load(name)}_shift", 0.0), 0.0)
             values[dynamic_load(name)] = np.sqrt(np.maximum(mean[dynamic_load(name)] - shift * shift, 0.0)) / self.static[name]
-            values[off_ground(name)] = mean[off_ground(name)]
+        passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
         for name, *travel in self.where.actuators:
-            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
             if travel:
-                passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
                 values |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
         return values
 

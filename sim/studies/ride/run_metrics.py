@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Shown, as_name, finite, percent
+from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Table, notes
 from models.document.field import Detail, Field, json_object
+from models.document.text import Shown, facts
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
@@ -93,6 +94,8 @@ EXPECTED = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", 
 ANGLE = Field[float | None]("angle", lambda one: one if one is None or abs(one) > NO_ANGLE else 0.0, ".3g")
 RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, digits, unit="m/s²")
 SPREAD = Field[MetricComparison]("+- by road", lambda one: one.spread, ".4g", key="spread")
+TIME = Field[float]("time", float, ".4g", unit="s")
+ERROR = Field[float]("relative error", float, ".1g")
 METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
     MUJOCO,
@@ -123,13 +126,14 @@ class RunMetrics(Shown):
     static: Mapping[str, float] | None = None
 
     @property
-    def shown(self) -> tuple[str, dict[str, str]]:
+    def shown(self) -> Document:
         """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
         }
-        return f"metrics of a run: {len(rows)}", {name: text or "none, as the run broke off" for name, text in rows.items()}
+        rows = {name: text or "none, as the run broke off" for name, text in rows.items()}
+        return facts(f"metrics of a run: {len(rows)}", rows)
 
 
 def measured_samples(
@@ -162,7 +166,8 @@ def measured_samples(
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
     """Returns the measured stretch of a run in words, from sample times [s] and `measured_samples`."""
     first, end = samples
-    return f"from {time[first]:.4g} s on" if end is None else f"from {time[first]:.4g} to {time[end - 1]:.4g} s, the passage"
+    begins = f"from {TIME.digits(time[first])}"
+    return f"{begins} s on" if end is None else f"{begins} to {TIME.text(time[end - 1])}, the passage"
 
 
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
@@ -193,29 +198,22 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     controller = run.controller
     if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
-        transient = settled(
-            expected.line.vehicle if expected else vehicle.linearised, controller, spectrum, timestep, float(time[first])
-        )
-    mujoco: Mapping[str, float] = {}
-    sampled: Mapping[str, float] = {}
+        line = expected.line.vehicle if expected else vehicle.linearised
+        transient = settled(line, controller, spectrum, timestep, float(time[first]))
+    mujoco, sampled = dict[str, float](), dict[str, float]()
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
             mujoco, sampled = (measure(vehicle, response, first, road.loaded, end) for response in (run.physics, run.sampled))
-    metrics = {
-        metric.name: MetricComparison(
-            metric.unit,
-            mujoco.get(metric.name),
-            sampled.get(metric.name),
-            expected.mean.get(metric.name) if expected else None,
-            expected.spread.get(metric.name) if expected else None,
-            expected is not None and (metric.name.endswith(APPROXIMATE) or expected.line.rounds > 0),
-        )
-        for metric in metrics_of(vehicle, road.loaded)
-    }
+    metrics, curved = {}, expected is not None and expected.line.rounds > 0
+    mean, spread = (expected.mean, expected.spread) if expected else ({}, {})
+    for metric in metrics_of(vehicle, road.loaded):
+        found, linear, usual, off = (of.get(metric.name) for of in (mujoco, sampled, mean, spread))
+        approximate = expected is not None and (curved or metric.name.endswith(APPROXIMATE))
+        metrics[metric.name] = MetricComparison(metric.unit, found, linear, usual, off, approximate)
     static = None
     if road.loaded:
         static = static_angles(vehicle, controller, road, float(time[-1])) if isinstance(controller, Controller) else {}
-    return RunMetrics(metrics, transient, expected.error if expected else None, expected.line if expected else None, static)
+    return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
 
 
 def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> Document:
@@ -226,7 +224,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         roughness: every IRI of the road that the run passes.
     """
     vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
-    title = f"Metrics, measured from {start:.4g} to {end:.4g} s"
+    title = f"Metrics, measured from {TIME.digits(start)} to {TIME.text(end)}"
     random = any(one.expected is not None for one in metrics.metrics.values())
     if run.broke_off is not None and not random:
         return Document(title, notes(*about))
@@ -270,15 +268,18 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         said.append(f"Only MuJoCo's values include the {blur} of the measurements.")
     if metrics.error is not None and metrics.error > EXACT:
         said.append(
-            f"Expected values may be off by {min(metrics.error, 1.0):.1g}: a resonance is too narrow for the spectral lines of "
-            "this road, or for the integral over them."
+            f"Expected values may be off by {ERROR.text(min(metrics.error, 1.0))}: a resonance is too narrow for the spectral "
+            "lines of this road, or for the integral over them."
         )
     return said
 
 
 def broken(run: Run) -> list[str]:
     """Returns a sentence on a run that broke off; empty for others."""
-    return ["This run has no metrics: {} at {:.4g} s.".format(*run.broke_off)] if run.broke_off is not None else []
+    if run.broke_off is None:
+        return []
+    end, at = run.broke_off
+    return [f"This run has no metrics: {end} at {TIME.text(at)}."]
 
 
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
@@ -318,7 +319,7 @@ def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:
     broke = run.broke_off
     whole: dict[str, Any] = {
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
-        "settled": {"share": metrics.settled.share, "signal": metrics.settled.signal} if metrics.settled else None,
+        "settled": metrics.settled and asdict(metrics.settled),
         "expected_error": finite(metrics.error),
         "metrics": {name: json_object(METRIC, one) | {"approximate": one.approximate} for name, one in metrics.metrics.items()},
     }

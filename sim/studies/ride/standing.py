@@ -68,6 +68,9 @@ LOAD, FORCE = _of("dynamic_load", "dynamic load [-]"), _of("force_peak", "force,
 FORCES = (_of("force_rms", "force, rms", "N"), FORCE)  # passive has none
 OFF, STOPS = _of("off_ground", "off the ground", "%", 100.0), _of("at_stops", "at stops", "%", 100.0)
 FIELDS = (RIDE, TRAVEL, LOAD, OFF, *FORCES, STOPS)
+STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
+USED = Field[tuple[float, float] | None]("used", lambda side: side and side[0], ".0f", 1e3, unit="mm")
+SHARE_USED = Field[tuple[float, float] | None]("used", lambda side: side and side[0] / side[1], ".0f", 100.0, unit="%")
 CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
 KEYS = tuple(one.key for one in FIELDS)
@@ -236,10 +239,10 @@ def _travel(standings: Sequence[Standing]) -> Field[Standing]:
         return TRAVEL
     strokes = {tuple(one.strokes[side][1] if side in one.strokes else None for side in SIDES) for one in whole}
     alike = len(strokes) == 1
-    of = "/".join("-" if stroke is None else f"{1e3 * stroke:.4g}" for stroke in next(iter(strokes)))
+    of = "/".join(map(STROKE.digits, next(iter(strokes))))
 
     def used(one: Standing) -> str:
         sides = [one.strokes.get(side) for side in SIDES]
-        return "/".join("-" if side is None else f"{1e3 * side[0] if alike else 100 * side[0] / side[1]:.0f}" for side in sides)
+        return "/".join((USED if alike else SHARE_USED).cell(side) for side in sides)
 
     return Field(f"travel in bump/rebound, {f'of {of} mm' if alike else '% of stroke'}", used)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import as_name, finite
 from models.document.document import Block, Document, Table, notes
@@ -143,7 +144,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     check_band(run.road, percent, True)
     assert step is not None, "a band has been checked"
     model = run.vehicle.linear_model
-    finals = dict(zip(model.outputs, (model.Cr.sum(axis=1) * step.height).tolist(), strict=True))
+    finals = dict(zip(model.outputs, (_lasting(run) * step.height).tolist(), strict=True))
     units = {name: run.vehicle.kind.signal(name).unit for name in model.outputs}
     peaks = {name: float(run.sampled.peak(name)) for name in model.outputs}
     loudest = {unit: max(peaks[name] for name in units if units[name] == unit) for unit in units.values()}
@@ -168,6 +169,16 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
         }
         metrics[name] = SignalSteps(units[name], final, half_band, **by_route)
     return metrics
+
+
+def _lasting(run: Run) -> Array:
+    """Returns what a metre of road under all wheels leaves of every output signal for good, shape (p,)."""
+    model, loop = run.vehicle.linear_model, run.prediction.loop
+    if loop is None or not model.over_datum(loop.controller.measured):
+        return model.Cr.sum(axis=1)
+    model, G = loop.continuous.model, loop.continuous.G
+    left = model.Cr - (model.C + model.D @ G) @ np.linalg.solve(model.A + model.B @ G, model.Br)
+    return left[: len(run.vehicle.linear_model.outputs)].sum(axis=1)
 
 
 def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:

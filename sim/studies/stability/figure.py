@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name
 from models.document.field import Field
 from models.document.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
+from models.vehicle.limits_and_implementation import Implementation
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
 from sim.studies.stability.fragility import FragilityFound
@@ -16,7 +18,6 @@ from sim.studies.stability.robustness import Robustness
 from sim.studies.stability.simulated_loop import Trial
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
-from synth.controller.loop_transfer import sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.design.uncertainty.fragility import worst_error_found
 
@@ -42,7 +43,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
     """
     controller, fragile, loop, built = found.controller, found.fragile, found.loops[""], found.built.get("")
     vehicle, timestep = fragile.vehicle, loop.timestep
-    transfer = sampled_loop_transfer(vehicle, controller, timestep)
+    transfer = LoopModel(replace(vehicle, implementation=Implementation()), controller, timestep).cut()
 
     def rate(trial: Trial) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
@@ -65,7 +66,8 @@ def margins_figure(found: StabilityMargins) -> Figure:
         _search_panel(f"{title}\n{_both(field, at, seen)}", label, search, rate, field.scale)
         for title, label, search, field, at, seen in searches
     ]
-    panels.append(_fragile_panel(fragile))
+    if math.isfinite(fragile.predicted.norm):
+        panels.append(_fragile_panel(fragile))
     if found.box is not None:
         panels.append(_box_panel(controller, found.box))
     lag, lead = predicted.smallest_phase, predicted.lead

@@ -65,6 +65,8 @@ class FragilityFound:
     def rounding(self) -> dict[str, Certificate]:
         """Returns the certificate of the law with rounded numbers, by format."""
         ideal = self.controller.problem(self.vehicle.without_integrals)
+        if ideal.of_heights is not None:
+            return {}
         return rounding(self.controller.law, ideal.closed_loop, ideal.plant)
 
     @property
@@ -80,7 +82,7 @@ def find_fragility(
     lag = replace(controller.hardware, bandwidth=vehicle.limits.actuator_bandwidth or controller.hardware.bandwidth)
     posed, law = problem(vehicle.without_integrals, controller.measured, lag), controller.law.continuous()
     gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.feedthrough)
-    predicted = fragility(gain)
+    predicted = fragility(gain, posed.of_heights is None)
 
     def trial(amount: float) -> Trial:
         return Trial(vehicle, with_errors(controller, predicted, amount))

@@ -17,7 +17,7 @@ from sim.runs.run import sample_times
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
 from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
-from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
+from synth.controller.loop_transfer import loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings, sampled_margins
 
@@ -48,6 +48,11 @@ class GainMargin:
     finer: StabilityEdge
 
     @property
+    def tried(self) -> list[tuple[float, StabilityEdge]]:
+        """Returns the searches that were run, each with the margin predicted for the sampled loop at its timestep."""
+        return [(at, one) for at, one in zip(self.sampled, (self.search, self.finer), strict=True) if one.searched]
+
+    @property
     def doubtful(self) -> bool:
         """Returns True if the margin found at the timestep is not the loop's own."""
         return not _close(self.own, self.search.found, AGREES * self.own)
@@ -73,11 +78,9 @@ class GainMargin:
 
         The extrapolation is off by a second power of the step: by less than half of the change by halving.
         """
-        tried = zip(self.sampled, (self.search, self.finer), strict=True)
-        here = all(_close(at, search.found, AGREES * at) for at, search in tried if search.searched)
+        here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         moved = abs(self.finer.found - self.search.found) if self.finer.searched else 0.0
-        confirmed = self.search.confirmed and self.finer.confirmed
-        return here and confirmed and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
+        return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,9 +215,9 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     def sampled_at(period: float) -> Trial:
         return with_computer(Implementation(sample_period=period), predicted.all_sampled)
 
-    sampled = [
-        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step.timestep, actuators, taylor4)) for step in steps
-    ]
+    prompt = replace(vehicle, implementation=Implementation())
+    loops = [LoopModel(prompt, controller, step.timestep, taylor4) for step in steps]
+    sampled = [sampled_gain_crossings(*loop.cut(actuators)) for loop in loops]
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     period = predicted.sample_period
     return LoopMargins(
@@ -236,7 +239,7 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     how = vehicle.implementation.without_noise
     loop = LoopModel(replace(vehicle, implementation=how), controller, timestep)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
-    predicted = sampled_margins(*_cut(loop, actuators), loop.period)
+    predicted = sampled_margins(*loop.cut(actuators), loop.period)
     step = step_derivative(replace(vehicle, implementation=Implementation()), timestep)
 
     def later(amount: float) -> Trial:
@@ -279,11 +282,3 @@ def _gain_margins(
         pairs = zip(steps, (coarse, fine), strict=True)
         ends = (StabilityEdge(step, lambda amount, k=power: with_gain(amount**k), at, AMPLE) for step, at in pairs)
         yield GainMargin(own**power if own else math.inf, (coarse, fine), *ends)
-
-
-def _cut(loop: LoopModel, actuators: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Returns Phi, Gamma and G of the implemented loop from sample to sample, cut at some actuators."""
-    closed, asked = loop.closed_loop, loop.open_loop.asked
-    G = np.pad(asked, ((0, 0), (0, len(closed.transition) - asked.shape[1])))[list(actuators)]
-    Gamma = closed.added[:, list(actuators)]
-    return closed.transition - Gamma @ G, Gamma, G

@@ -70,10 +70,10 @@ CORNER: tuple[Field[ParameterVertex], ...] = (
 BOX: tuple[Field[StabilityMargins], ...] = (
     Field("controller", lambda of: of.controller.name),
     Field("norm", lambda of: of.controller.certificate.norm.value, NORM.form),
-    Field("worst norm", lambda of: of.box and of.box.norm, NORM.form),
+    Field("largest norm", lambda of: of.box and of.box.norm, NORM.form),
     Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
     Field("at", lambda of: of.box and _values(of.box.at)),
-    Field("corners: MuJoCo and analysis say the", lambda of: of.box and ("same" if of.box.holds else "NOT THE SAME")),
+    Field("MuJoCo at the corners", lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE")),
     Field("margins", lambda of: "DOES NOT AGREE" if of.wrong else "agrees"),
 )
 
@@ -88,7 +88,7 @@ def margins_object(found: StabilityMargins) -> dict[str, Any]:
     for name, one in found.built.items():
         implemented, ideal = ({key: of[key] for key in IMPLEMENTED} for of in (_loop_object(one), objects[name]))
         objects[name] |= implemented | {"ideal": ideal}
-    edge = {"mujoco": finite(fragile.edge.found), **_sampled_object(fragile.edge, fragile.timestep)}
+    edge = {"mujoco": finite(fragile.edge.found), **_sampled_object(fragile.edge)}
     edge |= {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
     names = controller.measured, found.vehicle.linear_model.inputs
     return {
@@ -102,10 +102,7 @@ def margins_object(found: StabilityMargins) -> dict[str, Any]:
 
 
 def _box_object(box: Robustness) -> dict[str, Any]:
-    corners = [
-        {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
-        for corner in box.corners
-    ]
+    corners = [one.parameters | {"norm": finite(one.norm), "stable": one.decays, "agrees": one.agrees} for one in box.corners]
     varied = {one.name: [one.smallest, one.largest] for one in box.varied}
     return {"varied": varied, "computed": box.computed, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
 
@@ -117,7 +114,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     lag = {"frequency": finite(of.frequency), "smallest_lag": finite(of.smallest_phase)}
     at = {"phase": disk.phase, "frequency": finite(disk.frequency)}
     return {
-        "gain": _pair(of.gain, one.gain.found) | {"lower": lower} | _sampled_object(one.gain, one.timestep),
+        "gain": _pair(of.gain, one.gain.found) | {"lower": lower} | _sampled_object(one.gain),
         "phase": _pair(of.phase, one.found_phase) | lag | {"lead": lead, "smallest": finite(min(of.smallest_phase, of.lead))},
         "disk": {"margin": disk.size, "gain": [disk.gain[0], finite(disk.gain[1])], **at},
         "delay": _pair(of.delay, one.found_delay),
@@ -129,16 +126,15 @@ def _pair(predicted: float, found: float) -> dict[str, Any]:
     return {"predicted": finite(predicted), "found": finite(found)}
 
 
-def _sampled_object(margin: GainMargin, timestep: float) -> dict[str, Any]:
+def _sampled_object(margin: GainMargin) -> dict[str, Any]:
     """Returns the margin of the sampled loop at each timestep that physics ran with."""
-    tried = zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
-    sampled = [{"timestep": timestep / k, **_pair(at, search.found)} for k, at, search in tried if search.searched]
+    sampled = [{"timestep": search.step.timestep, **_pair(at, search.found)} for at, search in margin.tried]
     return {"extrapolated": margin.extrapolated, "sampled": sampled}
 
 
 def describe(found: StabilityMargins) -> Document:
     """Returns the margins of a controller as a document."""
-    vehicle, controller, fragile = found.vehicle, found.controller, found.fragile
+    vehicle, controller = found.vehicle, found.controller
     loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
     loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
@@ -150,15 +146,21 @@ def describe(found: StabilityMargins) -> Document:
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
+    blocks += [_errors_document(found), _box_document(found)]
+    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
+
+
+def _errors_document(found: StabilityMargins) -> Document:
+    """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
+    controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
     stable = fragile.predicted.stable.proved_margin
-    first = f"with errors of up to {ERROR.text(stable)} of each signal is proved" if stable else "with errors is not proved"
+    first = f"is proved for errors of up to {ERROR.text(stable)} of each signal" if stable else "with errors is not proved"
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
-    details = [f"the worst errors are {_worst_errors(found)}"] * (len(_worst_errors(found)) > WIDTH - HANG)
+    details = [f"the worst errors are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
     others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
     promises = notes(*(promise.text for promise in controller.robustness))
-    blocks += [Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises)), _box_document(found)]
-    return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
+    return Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
@@ -233,7 +235,7 @@ def _rows(found: StabilityMargins) -> list[Row]:
     note = _joined(UNDECIDED * math.isnan(edge.found), worst * (len(worst) <= WIDTH - HANG))
     rows += _loop_rows(found, found.loops[""], ideal)
     rows.append(Row("error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated))
-    return [*rows, *_sampled_rows(edge, found.fragile.timestep, scale=100.0)]
+    return [*rows, *_sampled_rows(edge, scale=100.0)]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
@@ -241,10 +243,10 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower = predicted.gain_lower or one.found_gain_lower
     note = _joined(UNDECIDED * math.isnan(gain.found), "" if lower else "stable down to 0")
-    rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain, h)]
+    rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain)]
     if lower:
         seen = one.found_gain_lower, UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
-        rows += [Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True), *_sampled_rows(one.gain_lower, h, -1)]
+        rows += [Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True), *_sampled_rows(one.gain_lower, -1)]
     note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
     rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note))
     if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
@@ -270,12 +272,11 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     return rows
 
 
-def _sampled_rows(gain: GainMargin, h: float, power: int = 1, scale: float = 1.0) -> list[Row]:
+def _sampled_rows(gain: GainMargin, power: int = 1, scale: float = 1.0) -> list[Row]:
     """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
-    searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
-        Row(f"  sampled every {1e3 * step:g} ms", scale * at**power, scale * search.found**power, extra=True)
-        for step, at, search in searches
+        Row(f"  sampled every {1e3 * search.step.timestep:g} ms", scale * at**power, scale * search.found**power, extra=True)
+        for at, search in gain.tried
         if gain.finer.searched
     ]
 
@@ -305,12 +306,14 @@ def _values(parameters: dict[str, float]) -> str:
 def _box_document(found: StabilityMargins) -> Document:
     """Returns what other vehicles make of the norm."""
     if (box := found.box) is None:
+        if math.isinf(found.controller.certificate.norm.value):
+            return Document("", notes("Other vehicles are not compared, as the loop has no finite norm."))
         return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
-    text = f"Other vehicles ({box.text}): the worst norm of {box.computed} is {worst}; nothing is proved between them."
+    text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. Nothing is proved between them."
     factors = [
         Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
         for i, one in enumerate(box.varied)
     ]
     corners = Table.of("corners", "", (*factors, *CORNER), box.corners, detail="full" if box.holds else "normal")
-    return Document("", (*notes(text), *notes(f"The worst norm is at {_values(box.at)}.", detail="full"), *apart(corners)))
+    return Document("", (*notes(text), *notes(f"The largest norm is at {_values(box.at)}.", detail="full"), *apart(corners)))

@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -137,7 +138,7 @@ def robustness(
 ) -> list[Robustness | None]:
     """Returns the largest norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
-    Returns None for each controller if nothing varies.
+    Returns None for each controller if nothing varies, and for one whose stable loop has no finite norm.
 
     Args:
         timestep: MuJoCo's timestep [s].
@@ -157,51 +158,46 @@ def robustness(
     progress("")
     results: list[Robustness | None] = []
     for controller in controllers:
-        known: dict[tuple[float, ...], float] = {}
+        at_corners = list(itertools.islice(physics, len(corners)))
+        if controller.certificate.stable and math.isinf(controller.certificate.norm.value):
+            results.append(None)
+            continue
 
-        def norm(factors: Sequence[float], of: Controller = controller, known: dict[tuple[float, ...], float] = known) -> float:
-            """The H-infinity norm on the vehicle with these factors, by one route; infinite where unstable."""
-            at = tuple(map(float, factors))
-            if at not in known:
-                gain = Gain(of.loop(_with_factors(vehicle, variations, at)))
-                known[at] = by_level_sets(gain)[0] if gain.stable else math.inf
-            return known[at]
+        @cache
+        def norm(*factors: float, of: Controller = controller) -> float:
+            """Returns the H-infinity norm on the vehicle with these factors, by one route; infinite if unstable."""
+            gain = Gain(of.loop(_with_factors(vehicle, variations, factors)))
+            return by_level_sets(gain)[0] if gain.stable else math.inf
 
         factors, norms, worst, at = _worst(norm, varied)
-        results_at_corners = itertools.islice(physics, len(corners))
-        results.append(
-            Robustness(
-                varied=varied,
-                computed=len(known),
-                norm=hinf_norm(controller.loop(_with_factors(vehicle, variations, at))).value if math.isfinite(worst) else worst,
-                at=_changed(vehicle, variations, at),
-                corners=tuple(
-                    ParameterVertex(corner, _changed(vehicle, variations, corner), norm(corner), not grows, agrees)
-                    for corner, (grows, agrees) in zip(corners, results_at_corners, strict=True)
-                ),
-                factors=factors,
-                norms=norms,
-            )
+        vertices = tuple(
+            ParameterVertex(corner, _changed(vehicle, variations, corner), norm(*corner), not grows, agrees)
+            for corner, (grows, agrees) in zip(corners, at_corners, strict=True)
         )
+        computed, loop = norm.cache_info().currsize, controller.loop(_with_factors(vehicle, variations, at))
+        worst = hinf_norm(loop).value if math.isfinite(worst) else worst
+        results.append(Robustness(varied, computed, worst, _changed(vehicle, variations, at), vertices, factors, norms))
     return results
 
 
-def _worst(
-    norm: Callable[[Sequence[float]], float], varied: Sequence[Variation]
-) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
-    """Returns the factors of a grid over the box and the norms there, then the worst norm and its factors."""
+def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
+    """Returns the factors of a grid over the box and the norms there, then the worst norm and its factors.
+
+    Args:
+        norm: function of as many factors as there are variations.
+    """
     box = [(each.smallest, each.largest) for each in varied]
     count = max(3, round(GRID ** (1 / len(box))))
     factors = tuple(np.linspace(*ends, count) for ends in box)
     grid = list(itertools.product(*(axis.tolist() for axis in factors)))
-    values = [norm(point) for point in grid]
+    values = [norm(*point) for point in grid]
     worst, at = max(values), grid[int(np.argmax(values))]
     for i in np.argsort(values)[-3:] if math.isfinite(worst) else []:
         refined: Any = optimize.minimize(
-            lambda point: -norm(point), grid[i], method="Nelder-Mead", bounds=box, options={"xatol": 1e-6}
+            lambda point: -norm(*point.tolist()), grid[i], method="Nelder-Mead", bounds=box, options={"xatol": 1e-6}
         )
         if -refined.fun > worst:
-            worst, at = -float(refined.fun), tuple(refined.x)
+            worst, at = -float(refined.fun), tuple(refined.x.tolist())
     return factors, np.reshape(values, (count,) * len(box)), worst, at
 
 

@@ -96,12 +96,9 @@ class SimulatedLoop:
         motion, lagging, acting, rest, law, first = np.split(vector, np.cumsum(self.sizes)[:-1])
         largest = max(np.abs(force).max(initial=0.0) for force in (acting, lagging, self.G @ vector, *pending))
         scale = 1.0 if limit is None else min(1.0, FREE * limit / max(largest, FREE * limit))
-        forces = scale * np.array([*([first] if len(first) else []), *pending]).reshape(-1, len(acting))
-        motion = np.concatenate([motion, lagging])
-        motion, acting, law, rest, forces = (
-            np.real(part) for part in (scale * motion, scale * acting, scale * law, scale * rest, forces)
-        )
-        return InitialState(motion, acting, law, rest, forces)
+        forces = np.array([*([first] if len(first) else []), *pending]).reshape(-1, len(acting))
+        parts = np.concatenate([motion, lagging]), acting, law, rest, forces
+        return InitialState(*(np.real(scale * part) for part in parts))
 
 
 def simulated_loop(step: StepDerivative, trial: Trial) -> SimulatedLoop:
@@ -125,9 +122,8 @@ def simulated_loop(step: StepDerivative, trial: Trial) -> SimulatedLoop:
         moved = (np.linalg.matrix_power(one, count) @ np.vstack([moved, acting]))[:w]
     Phi = np.vstack([moved[:, :size], kept, np.zeros((m * late, size))])
     Gamma = np.vstack([moved[:, size:], np.zeros((k, m)), np.eye(m * late, m)])
-    return SimulatedLoop(
-        Phi, Gamma, G, delay, steps * timestep, timestep, (n - step.lagging, step.lagging, m, others, k, m * late)
-    )
+    sizes = (n - step.lagging, step.lagging, m, others, k, m * late)
+    return SimulatedLoop(Phi, Gamma, G, delay, steps * timestep, timestep, sizes)
 
 
 def _one_step(step: StepDerivative, undelayed: Controller | None) -> tuple[Array, int]:

@@ -1,6 +1,7 @@
 """Edges of a map of validity along one axis, at every value of the other: where the linear regime ends, and by which end."""
 
 from collections.abc import Mapping
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -28,11 +29,9 @@ def edges_object(cells: Cells) -> dict[str, Any]:
         members.setdefault(getattr(bump, others[0].name) if others else 0.0, []).append(i)
     lines = []
     for value, mine in sorted(members.items()):
-        parts: list[dict[str, Any]] = []
-        for here, end in sorted((getattr(cells.bumps[i], along.name), cells.end_of(i) or None) for i in mine):
-            if not parts or parts[-1]["end"] != end:
-                parts.append({"end": end, "from": here})
-            parts[-1]["to"] = here
+        points = sorted((getattr(cells.bumps[i], along.name), cells.end_of(i) or None) for i in mine)
+        spans = ((end, [at for at, _ in some]) for end, some in groupby(points, lambda point: point[1]))
+        parts = [{"end": end, "from": at[0], "to": at[-1]} for end, at in spans]
         height, used = cells.bumps[mine[-1]].height, cells.used[mine[-1]]
         known = along.name == "height" and proportional and used.max() * LIMITS["height"][1] >= height
         predicted = {"predicted": END_NAMES[int(used.argmax())], "predicted_from": float(height / used.max())} if known else {}
@@ -61,28 +60,26 @@ def edge_document(cells: Cells) -> Document:
     other = next((axis.name for axis in cells.axes if axis.name != along), "")
     shown = [every[i] for i in sorted({round(i) for i in np.linspace(0, len(every) - 1, min(LINES, len(every)))})]
     found = {one.get(other): one for one in reversed(edges["enclosed"])} if along == "height" else {}
+
+    def ended(edge: Mapping[str, Any]) -> list[dict[str, Any]]:
+        return [part for part in edge["breaks_first"] if part["end"]]
+
+    def limits(edge: Mapping[str, Any]) -> str:
+        names = [part["end"] for part in ended(edge)]
+        return ", ".join([*names[:PARTS], *["..."] * (len(names) > PARTS)]) or edge["predicted"] or "none"
+
     fields: list[Field[dict[str, Any]]] = [
-        Field("first limit", lambda edge: ", ".join(_ends(edge)) or edge["predicted"] or "none"),
-        Field("cell", _begins, ".4g", unit=UNITS[along]),
+        Field(other, lambda edge: edge.get(other), ".4g", unit=UNITS.get(other, "")),
+        Field("first limit", limits),
+        Field("first cell", lambda edge: next((part["from"] for part in ended(edge)), None), ".4g", unit=UNITS[along]),
         Field("predicted", lambda edge: edge["predicted_from"], HEIGHT.form, unit="m"),
         Field("MuJoCo", lambda edge: _enclosed(found.get(edge.get(other))), unit="m"),
     ]
-    fields[:0] = [Field(other, lambda edge: edge[other], ".4g", unit=UNITS[other])] if other else []
     fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
-    texts = [f"{len(every) - len(shown)} more are in --json."] if len(every) > len(shown) else []
+    left = len(every) - len(shown)
+    texts = [f"{left} more {'is' if left == 1 else 'are'} in --json."] if left else []
     table = Table.of("edges", "First limit along the map.", fields, shown)
     return Document(f"First limit along the {along}, with {cells.fixed_text}", (table, *notes(*texts, *travel_texts(cells))))
-
-
-def _begins(edge: Mapping[str, Any]) -> float | None:
-    """Returns where the first cell of an edge with an end is."""
-    return next((part["from"] for part in edge["breaks_first"] if part["end"]), None)
-
-
-def _ends(edge: Mapping[str, Any]) -> list[str]:
-    """Returns the first ends along an edge."""
-    ends = [part["end"] for part in edge["breaks_first"] if part["end"]]
-    return [*ends[:PARTS], *(["..."] if len(ends) > PARTS else [])]
 
 
 def _enclosed(one: Mapping[str, Any] | None) -> str:

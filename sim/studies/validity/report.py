@@ -14,7 +14,7 @@ from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, apart, notes
 from models.document.field import Field, at_most
-from models.document.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel
+from models.document.figure import BLACK, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
 from models.document.text import names_text
 from models.roads.road import Bump
@@ -32,21 +32,19 @@ from synth.controller.report import built_words
 OneEnd = tuple[Controller, RegimeEnd | None]
 
 
-def share(value: float) -> str:
-    """Returns a share of cells in percent."""
-    return f"{100 * value:.1f} %"
-
-
-HOLDS = Field[Cells]("linear analysis holds", lambda cells: cells.share(lambda one: one.error <= cells.threshold), share)
+SHARE = Field[float]("share of cells", float, "{:.1f} %".format, 100.0)
+HOLDS = Field[Cells]("linear analysis holds", lambda of: of.share(lambda one: one.error <= of.threshold), SHARE.form, 100.0)
 FIRST = tuple(
-    Field[Cells](f"{end} first" if end else "nothing breaks", lambda cells, i=i: float(np.mean(cells.predicted == i)), share)
+    Field[Cells](
+        f"{end} first" if end else "no limit reached", lambda of, i=i: float(np.mean(of.predicted == i)), SHARE.form, 100.0
+    )
     for i, end in enumerate(("", *END_NAMES), -1)
 )
 VALIDITY = (
     Field[Cells]("controller", lambda cells: cells.controller.name),
     HOLDS,
     *FIRST,
-    Field[Cells]("as predicted", lambda cells: cells.agreement, lambda value: f"{100 * value:.2f} %"),
+    Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
 FOUND = Field[float]("height", float, ".3g", unit="m")
@@ -91,10 +89,10 @@ def envelope_object(cells: Cells) -> dict[str, Any]:
 
 def _cells(cells: Cells) -> list[dict[str, Any]]:
     """Returns a JSON object for each cell; the share of missing force only for a vehicle with adjustable dampers."""
-    rows, dampers = [], any(math.isfinite(one.missing) for one in cells.driven.values())
-    for i, bump in enumerate(cells.bumps):
-        one = cells.driven.get(i)
-        row = {name: getattr(bump, name) for name in UNITS} | {
+    dampers = any(math.isfinite(one.missing) for one in cells.driven.values())
+    return [
+        {
+            **{name: getattr(bump, name) for name in UNITS},
             "error": one and finite(one.error),
             "holds": one and one.error <= cells.threshold,
             "broke_first": END_NAMES[one.first] if one and one.first >= 0 else None,
@@ -103,15 +101,17 @@ def _cells(cells: Cells) -> list[dict[str, Any]]:
             "predicted_at": finite(cells.predicted_time[i]),
             "agrees": one and i not in cells.others,
             "simulated": one is not None,
+            **({"missing_force": one and one.missing} if dampers else {}),
         }
-        rows.append(row | ({"missing_force": one and one.missing} if dampers else {}))
-    return rows
+        for i, bump in enumerate(cells.bumps)
+        for one in [cells.driven.get(i)]
+    ]
 
 
 def describe(cells: Cells) -> Document:
     """Returns a map as a document."""
-    shown = [field for field in FIRST if field.value(cells)]
-    table = Table("shares", "", ("first limit, predicted", "cells"), tuple((field.label, field.cell(cells)) for field in shown))
+    rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
+    table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
         f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of them, linear analysis is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
@@ -120,9 +120,9 @@ def describe(cells: Cells) -> Document:
         off = f"{100 * LEAVES:g} % of its largest force"
         texts.insert(0, f"A curve is a limit if the force of a spring or damper differs from its linearisation by {off}.")
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
-        texts.append(f"In {share(away)} of them, the states of the law overflow, and it requests no finite force.")
+        texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, and it requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map is of the analysis with the dampers.")
+        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map shows the analysis with the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
@@ -206,8 +206,8 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
-        text += f" MuJoCo{noise} ran bumps {100 * (WITHIN - 1):.2g} % lower and higher. Over lower ones, no limit is reached, "
-        text += f"and analysis is within {off} of every peak. Over higher ones, this limit is reached."
+        text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
+        text += f"and analysis is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
     note = f"One linear run of the implemented loop{noise} predicts the height. Runs take {runs}."
     caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
@@ -247,10 +247,9 @@ def envelope_figure(cells: Cells) -> Figure:
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
-    curves += [_marks(np.array(at), ENCLOSED, "#000000", "D")] if at else []
+    curves += [_marks(np.array(at), ENCLOSED, "D")] if at else []
     curves += _markers(cells, places)
-    panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
-    return _figure(cells, panel)
+    return _figure(cells, LABELS[horizontal.name], LABELS[vertical.name], curves, ground)
 
 
 ENCLOSED = "MuJoCo: height enclosed by two runs"
@@ -258,29 +257,30 @@ ENCLOSED = "MuJoCo: height enclosed by two runs"
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
     """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
-    within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, str, Marker], list[int]]()
+    within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, Marker], list[int]]()
     for i, one in cells.driven.items():
-        kind: tuple[str, str, Marker] = ("no limit", GREEN, "o")
+        kind: tuple[str, Marker] = ("no limit", "o")
         if i in cells.others:
-            kind = ("another limit than predicted", "#000000", "x")
+            kind = ("another limit than predicted", "^")
         elif one.end and one.error <= cells.threshold:
-            kind = (f"limit reached, analysis within {within}", VERMILLION, "+")
+            kind = (f"limit reached, analysis within {within}", "+")
         elif one.end:
-            kind = (f"limit reached, analysis not within {within}", VERMILLION, "x")
+            kind = (f"limit reached, analysis not within {within}", "x")
         kinds.setdefault(kind, []).append(i)
-    return [_marks(places[mine], f"MuJoCo: {label}", color, marker) for (label, color, marker), mine in kinds.items()]
+    return [_marks(places[mine], f"MuJoCo: {label}", marker) for (label, marker), mine in kinds.items()]
 
 
-def _marks(points: Array, label: str, color: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2)."""
-    return Curve(points[:, 0], points[:, 1], label, color, "none", marker)
+def _marks(points: Array, label: str, marker: Marker) -> Curve:
+    """Returns markers at points, shape (N, 2): black, as those are legible on every colour of a map."""
+    return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
-def _figure(cells: Cells, panel: Panel) -> Figure:
+def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], ground: Classes | None = None) -> Figure:
+    panel = Panel("", xlabel, ylabel, tuple(curves), ground)
     which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, with {cells.fixed_text}"
     which += f", under {PLUS.join(load.label for load in cells.loads)}" if cells.loads else ""
     title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
-    title += f"{len(cells.bumps)} cells, {share(cells.agreement)} as predicted"
+    title += f"{len(cells.bumps)} cells, {SHARE.text(cells.agreement)} as predicted"
     finding = f"With {as_name(cells.controller.name)}, no limit is reached over {FIRST[0].cell(cells)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, finding=finding)
 
@@ -295,10 +295,9 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "limit", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
-        curves.append(_marks(np.array(at), ENCLOSED, "#000000", "D"))
+        curves.append(_marks(np.array(at), ENCLOSED, "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
-    panel = Panel("", LABELS[axis.name], "share of the way to a limit", tuple(curves))
-    return _figure(cells, panel)
+    return _figure(cells, LABELS[axis.name], "share of the way to a limit", curves)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:

@@ -43,7 +43,7 @@ def compiler() -> list[str]:
         return [own]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc"]
-    raise InputError("no C compiler is here; install cc, or Zig's with pip install 'roadproof[export]'")
+    raise InputError("there is no C compiler; install cc, or Zig's with pip install 'roadproof[export]'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +63,8 @@ class ExportedCode:
     @property
     def record(self) -> dict[str, Any]:
         """Numbers, prefix and ranges, by which the code is made again, and the checksum, for JSON."""
-        law, ranges = self.law, None
-        if law.ranges is not None:
-            ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
-        return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
+        law = self.law
+        return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
     def start(self) -> "CompiledStep":
         """Returns the code at its start, built when it is first used.
@@ -87,7 +85,7 @@ def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
         arguments = [*FLAGS.split(), "-shared", "-fPIC", str(Path(beside) / f"{name}.c"), "-o", str(library)]
         built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
         if built.returncode:
-            raise InputError(f"the compiler {Path(command[0]).name} refuses {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
+            raise InputError(f"the compiler {Path(command[0]).name} rejects {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
         return ctypes.PyDLL(str(library))  # not CDLL: a step is shorter than letting other threads in takes
 
 

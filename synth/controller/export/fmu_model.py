@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,8 +11,10 @@ from models.common.errors import InputError
 from models.kinds.signals import CONTROL_FORCE, DAMPING, Signal
 from models.vehicle.vehicle import Vehicle
 from synth.controller.export.c_law import STILL, ExportedLaw
-from synth.controller.export.c_source import CSource
+from synth.controller.export.c_source import CSource, literal
 from synth.controller.export.linear_system import LinearSystem
+
+_number = partial(literal, "double")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +72,14 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
     still = np.array([one[0] for one in law.dampers] if law.dampers else np.zeros(m))
     ins = "".join(f"    in.{name} = ({law.numbers})model->values[{i}];\n" for i, name in enumerate(law.inputs))
     outs = "".join(f"    model->values[FMU_INPUTS + {i}] = (double)out.{name};\n" for i, name in enumerate(law.outputs))
-    starts = "".join(f"    model->values[FMU_INPUTS + {i}] = {_number(value)};\n" for i, value in enumerate(still))
+    starts = "".join(f"    model->values[FMU_INPUTS + {i}] = {literal('double', value)};\n" for i, value in enumerate(still))
     own = (
         f'#include "fmu.h"\n\nvoid fmu_start(fmu_model *model)\n{{\n    {law.name}_init(&model->law);\n{starts}}}\n\n'
         "void fmu_update(fmu_model *model)\n{\n    (void)model; /* outputs are those of the last step */\n}\n\n"
         f"int fmu_step(fmu_model *model, double step)\n{{\n    {law.name}_in in;\n    {law.name}_out out;\n\n    (void)step;\n"
         f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}    return model->law.faults;\n}}\n"
     )
-    head = _head(len(inputs), m, 0, f"#define FMU_PERIOD {_number(law.period or 0.0)} /* s; 0: any step */\n")
+    head = _head(len(inputs), m, 0, f"#define FMU_PERIOD {literal('double', law.period or 0.0)} /* s; 0: any step */\n")
     head = head.replace("\n#endif", f'#include "{law.name}.h"\ntypedef {law.name}_state fmu_law;\n\n#endif')
     sources = {**code.files, "fmu_model.c": own, "fmu_model.h": head}
     title = f"Controller {law.controller} of a {vehicle.kind.name}"
@@ -88,7 +91,7 @@ def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
     n, m, p = len(system.states), len(system.inputs), len(system.outputs)
     slopes = np.block([[system.D, system.C], [system.B, system.A]])
     rate = _number(np.abs(system.A).sum(axis=1).max())
-    rows = ",\n    ".join("{" + ", ".join(map(_number, row)) + "}" for row in slopes)
+    rows = ",\n    ".join("{" + ", ".join(_number(value) for value in row) + "}" for row in slopes)
     sources = {
         "linear.c": "",
         "fmu_model.c": f'#include "fmu.h"\n\nconst double fmu_slopes[{p + n}][{m + n}] = {{\n    {rows}}};\n',
@@ -105,7 +108,3 @@ def _head(inputs: int, outputs: int, states: int, more: str) -> str:
         f'#define FMU_TOKEN "@TOKEN@"\n#define FMU_INPUTS {inputs}\n#define FMU_OUTPUTS {outputs}\n#define FMU_STATES {states}\n'
         f"{more}\n#endif\n"
     )
-
-
-def _number(value: float) -> str:
-    return np.format_float_scientific(float(value), unique=True, trim="0")

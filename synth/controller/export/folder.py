@@ -19,6 +19,7 @@ from synth.controller.controller import SUFFIX, AnyController, Controller
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import ExportedCode
+from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
@@ -40,7 +41,7 @@ def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> di
         "claims": None if claims is None else dict(claims),
     }
     if law.ranges is not None:
-        found["ranges"] = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        found["ranges"] = law.largest
         found["range_sources"] = dict(zip(law.inputs, law.range_sources, strict=True))
     return found
 
@@ -98,10 +99,11 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
         else "",
         f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
     ]
+    studied = "".join(f"\n{text[0].upper()}{text[1:]}.\n" for text in study_notes(vehicle, driver))
     return f"""# Controller {driver.name} as C99
 
 {driver.text}
-
+{studied}
 ```c
 {p}_state state;
 {p}_in in;
@@ -237,13 +239,13 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
     fits = [i for i, one in enumerate(drivers) if one.name in (law.controller, law.controller.removesuffix(SUFFIX))]
     if not fits:
         names = ", ".join(one.name for one in drivers)
-        raise InputError(f"--as {folder}: is of controller {law.controller!r}, and --controller gives {names}; name that one")
+        raise InputError(f"--as {folder}: is the code of {law.controller!r}, and --controller gives {names}; give that one")
     driver, theirs, ours = drivers[fits[0]], _facts(found.vehicle), _facts(vehicle)
     other = [f"{name} = {value}, and not {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
     if other:
-        raise InputError(f"--as {folder}: is of a vehicle with {other[0]}; export controller {driver.name!r} of this one")
+        raise InputError(f"--as {folder}: was exported for a vehicle with {other[0]}; export {driver.name!r} of this vehicle")
     if not is_law_of(law, vehicle, driver):
-        raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
+        raise InputError(f"--as {folder}: has another law than controller {driver.name!r} has now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
     code.start()  # code that cannot be built is refused before the long work
@@ -252,9 +254,8 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool:
     """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
-    ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
     try:
-        other = exported_law(vehicle, driver, law.numbers, law.name, ranges)
+        other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
     except InputError:  # it cannot be exported so
         return False
     same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))

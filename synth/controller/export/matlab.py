@@ -12,6 +12,7 @@ from synth.analysis.record import to_record
 from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import c_name
 from synth.controller.export.linear_system import vehicle_system
+from synth.controller.report import study_notes
 
 VEHICLE, QUOTE = "vehicle", "'"
 TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # with no date, so that the same content has the same bytes
@@ -92,6 +93,7 @@ def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> st
         *_ss("plant", f"file.{VEHICLE}.model"),
     ]
     for one in controllers:
+        lines += [f"% {one.name}: {text}" for text in study_notes(vehicle, one)]
         lines += [f"% {one.name}: {one.kind} from {', '.join(one.measured)}", *_ss(names[one.name], f"file.{names[one.name]}")]
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     listed = ", ".join(f"'{name}'" for name in roads)

@@ -14,6 +14,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
 from synth.analysis.norm import hinf_norm
+from synth.analysis.specification import digits
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
 from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, real_matrix
@@ -49,7 +50,7 @@ class Refinement:
     @property
     def traded(self) -> str:
         """The trade-off in words."""
-        text = f"{self.what} {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
+        text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain times {self.growth:.3g}"
         if self.refused is not None:
             bought, growth = self.refused

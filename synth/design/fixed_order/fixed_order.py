@@ -134,9 +134,7 @@ def fixed_order_design(
     check_posed(plant)
     n, m = plant.B.shape
     if structure.order > n:
-        raise InputError(
-            f'order = {structure.order} is more than the {n} states of the plant; give at most {n}, or order = "full"'
-        )
+        raise InputError(f'order = {structure.order} exceeds the {n} states of the plant; give at most {n}, or order = "full"')
     felt = None if through is None or not np.any(through) else through
     counted = bounded_work(plant) if work is None else work
     search = _Search(plant, Cy, noise if np.any(noise) else None, felt, lower_bound, stable, as_run, counted)
@@ -198,9 +196,9 @@ class _Search:
             posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
             if stabilisability_failures(posed.plant, posed.Cy):
                 raise InfeasibleError(
-                    f'structure = "{structure.kind}" has an integral that no force moves: its pole at 0 stays in the loop, as no '
-                    "constant force changes what is measured, and no norm is finite; measure a signal that a constant force "
-                    "changes, as a deflection, or omit the integral"
+                    f'structure = "{structure.kind}" integrates a signal that no constant force changes, so the pole at 0 stays '
+                    "in the loop and no norm is finite; measure a signal that a constant force "
+                    "changes, such as a deflection, or omit the integral"
                 )
 
     def certified(self, law: LinearLaw) -> Certificate:

@@ -10,6 +10,7 @@ from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import digits
 from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import AT_ONCE, quadratic_design
@@ -71,9 +72,9 @@ def named_design(
     quadratic = quadratic_design(name, plant, Cy, states, noise, Dyw)
     # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
     heard = {"lqg": noise, "h2": Dyw}.get(name)
-    beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
+    beside = {"lqg": ", and sensors have their noise", "h2": ", and sensors have the noise that w contains"}
     best = (
-        f"the best in the mean: H2 norm {quadratic.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+        f"smallest mean square of z: H2 norm {digits(quadratic.h2_norm)}, its rms if road velocity is white noise of intensity 1"
         f"{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
     )
     return NamedDesign(quadratic.law, quadratic.certificate, (best, *([quadratic.remark] if quadratic.remark else [])))

@@ -22,6 +22,7 @@ from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import digits, rate_digits
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
@@ -60,7 +61,7 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
     at_once = np.eye(len(D)) + D @ where.Dyu
     if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ where.Dyu, 2)):
         raise DesignError(
-            "the full-order law is infinite at z = -1, where the plant has a pole that is moved before it is mapped; take that "
+            "the full-order law would be infinite at z = -1, where the plant has a pole; take that "
             "pole out of the model, or design a static gain"
         )
     after = np.linalg.inv(at_once)
@@ -212,7 +213,7 @@ def full_order_design(
         raise InfeasibleError(reasons)
     if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
         raise InputError(
-            "a discrete plant has a sample period, which limits the speed of its loop; omit fastest_pole and fastest"
+            "the sample period of a discrete plant already limits the speed of its loop; omit fastest_pole and fastest"
         )
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
@@ -262,12 +263,13 @@ def full_order_design(
             raise DesignError(str(lost[0])) from lost[0]
         if trade:
             raise DesignError(
-                f"no law was found whose loop is as slow as fastest_pole = {fastest * search.fastest:.4g} rad/s; the slowest has "
-                f"a pole of {trade[0].pole:.4g} rad/s: give that or more"
+                "no law was found that keeps all poles of its loop within fastest_pole = "
+                f"{rate_digits(fastest * search.fastest)} rad/s; the slowest loop has a pole of "
+                f"{rate_digits(trade[0].pole)} rad/s: give at least that"
             )
         raise DesignError(
-            "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
-            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
+            "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
+            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size); measure more signals, or use other units"
         )
 
     def fits(each: TradeOffPoint) -> bool:
@@ -291,9 +293,7 @@ def full_order_design(
                 against = _against(own, unconstrained, as_run) + undescended
                 return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
         laws = [each for each in laws if each is not best]
-    raise DesignError(
-        f"no law was found that is stable by itself, only one that is not{undescended}; omit stable = true, or measure more"
-    )
+    raise DesignError(f"every law found is unstable by itself{undescended}; omit stable = true, or measure more signals")
 
 
 def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
@@ -301,8 +301,9 @@ def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[Lin
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "at no price" if share <= WITHIN else f"its norm is {percent(share)} higher"
-    slowest = f", its slowest pole {_slowest(as_run(own.law)):.4g} 1/s" if own.law.states else ", without states"
-    return f"stable by itself{slowest}; against {norms[1]:.7g} of an unstable law (+{as_run(other.law).growth:.4g} 1/s) {price}"
+    slowest = f", its slowest pole {rate_digits(_slowest(as_run(own.law)))} 1/s" if own.law.states else ", without states"
+    unstable = f"{digits(norms[1])} of an unstable law (+{rate_digits(as_run(other.law).growth)} 1/s)"
+    return f"stable by itself{slowest}; against {unstable} {price}"
 
 
 def _slowest(law: LinearLaw) -> float:
@@ -321,8 +322,8 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
         return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
     return (
-        f"{above}: the nearest that was found, of norm {nearer.norm:.4g}, has a pole of {nearer.pole:.3g} rad/s, and this one's "
-        f"fastest is {best.pole:.3g} rad/s"
+        f"{above}: the nearest that was found, of norm {rate_digits(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s, and "
+        f"this one's fastest is {best.pole:.3g} rad/s"
     )
 
 
@@ -331,7 +332,11 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]
-    instead = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {slower[-1].norm:.4g}" if slower else ""
+    instead = (
+        f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rate_digits(slower[-1].norm)}"
+        if slower
+        else ""
+    )
     return (
         f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
         f"{1 / best.pole:.1g} s or more cannot run it{instead}"

@@ -30,7 +30,7 @@ from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
-AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
+AT_ONCE = ", without its direct effect on z, which has infinite power"
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
 LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
@@ -176,7 +176,7 @@ def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     rows, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
     if len(rows) < n:
         raise DesignError(
-            f"LQR feeds back every state, and {len(rows)} of {n} are measured; those of filters in [performance] never are: "
+            f"LQR feeds back all {n} states, but only {len(rows)} are measured (states of filters in [performance] never are); "
             'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
     return rows
@@ -228,7 +228,7 @@ def _design(
         what = "noise of a measurement" if least < least_cost else "cost of a force"
         raise DesignError(
             f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too little for floats: give more, or "
-            f"none, for which {100 * ASSUMED:g} % is assumed"
+            f"omit it to use {100 * ASSUMED:g} %"
         ) from error
     share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
     remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""

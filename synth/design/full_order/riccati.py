@@ -74,7 +74,7 @@ def central_law(plant: GeneralizedPlant, Cy: Array, Dyw: Array, gamma: float) ->
     D11, i, j = turn_z.T @ plant.Dw @ turn_w, d - m, r - q
     D1111, D1112, D1121, D1122 = D11[:i, :j], D11[:i, j:], D11[i:, :j], D11[i:, j:]
     if max(_size(D11[:i]), _size(D11[:, :j])) >= gamma:
-        raise InfeasibleError("w reaches z at once by more than gamma")
+        raise InfeasibleError("the direct feedthrough from w to z exceeds gamma")
     B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
     D1 = np.hstack([D11, np.eye(d)[:, i:]])
     E1 = np.vstack([D11, np.eye(r)[j:]])

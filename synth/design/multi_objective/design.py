@@ -101,7 +101,7 @@ def multi_objective_design(
         array([[-5.]])
     """
     if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
-        raise InputError("a discrete plant has no decay in rad/s; omit decay, and bound a norm instead")
+        raise InputError("decay, in rad/s, is for continuous plants only; omit it and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
     search = MinimaxSearch(problem, on_progress)

@@ -83,11 +83,11 @@ def goals_of_plants(
             )
     measured, forces, outputs = (_names(letter, count) for letter, count in zip("yuz", (len(Cy), *first.D.T.shape), strict=True))
     if section.get("structure") == CORNER:
-        raise InputError(f'{where} structure = "{CORNER}" is of vehicles; give rows of 0 and 1, a row for each force')
+        raise InputError(f'{where} structure = "{CORNER}" is for vehicles only; give rows of 0 and 1, a row for each force')
     family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
     goals = read_goals(where, {**section, **family}, measured, outputs, dict.fromkeys(forces, ""))
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
-        raise InputError(f"{where} bounds have a peak over a road, which no plant by itself has; bound an energy_peak or a norm")
+        raise InputError(f"{where} bounds: a peak over a road needs a vehicle; bound an energy_peak or a norm")
     norms = norms_of(goals)
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
@@ -116,7 +116,7 @@ def _signal(where: str, plant: GeneralizedPlant, row: int, bound: EnergyBound, D
     """The row of z that is bounded for disturbances of given energy."""
     if np.any(plant.Dw[row]) or Dyw is not None or plant.dt is not None:
         raise InputError(
-            f"{where} bounds have an energy_peak of {bound.signal}, which has w, noise or samples in it; bound a norm instead"
+            f"{where} bounds: an energy_peak of {bound.signal}, which has w, noise or samples in it; bound a norm instead"
         )
     name = f"{bound.signal} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

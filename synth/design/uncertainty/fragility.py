@@ -101,23 +101,29 @@ class Fragility:
         stable: margin of stability.
         heights: the norm as a function of factors.
         rays: the ways to corners of boxes that are looked along.
+        shares: relative increases of the norm in `within`.
     """
 
     norm: float
     stable: ErrorMargin
     heights: WorstCaseNormFunction
     rays: Array
+    shares: tuple[float, ...] = SHARES
 
     @cached_property
     def within(self) -> dict[float, ErrorMargin]:
         """Returns the margin by allowed relative increase of the norm."""
         with numerics():
-            return {share: _borne(self.heights, self.rays, self.norm * (1 + share)) for share in SHARES}
+            return {share: _borne(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
 
 
 @numerics()
-def fragility(gain: ScaledGain) -> Fragility:
+def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
     """Computes the errors that a loop tolerates, which is stable without errors.
+
+    Args:
+        gain: the loop with factors.
+        norms: False if its norm is not that of the loop, so that only stability is studied.
 
     Raises:
         ValueError: the loop is unstable without errors.
@@ -125,9 +131,10 @@ def fragility(gain: ScaledGain) -> Fragility:
     heights = WorstCaseNormFunction(gain)
     norm = heights.norm(_at(gain, 0.0))
     if not np.isfinite(norm):
-        raise ValueError("the loop is unstable as it is")
+        raise ValueError("the nominal loop is unstable")
     rays = _rays(heights)
-    return Fragility(norm, _borne(heights, rays, np.inf), heights, rays)
+    borne = _borne(heights, rays, np.inf)
+    return Fragility(norm, borne, heights, rays) if norms else Fragility(np.inf, borne, heights, rays, ())
 
 
 def box_of_all(gain: ScaledGain, amount: float) -> Box:
@@ -242,7 +249,7 @@ def fragility_object(
         }
 
     return {
-        "norm": report.norm,
+        "norm": finite(report.norm),
         "stable": borne(report.stable),
         "within": [{"share": share, **borne(one)} for share, one in report.within.items()],
         "rounding": {name: {"norm": finite(one.norm.value), "bound": one.bound} for name, one in rounding.items()},
@@ -284,11 +291,11 @@ def proved_text(report: Fragility, norms: bool = True) -> str:
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
-    """Returns the effect of rounded coefficients on the norm as a sentence."""
+    """Returns the effect of rounded coefficients on the norm as a sentence; empty if none are given."""
     said = []
     for name, one in rounding.items():
         bound = f", proved below {digits(one.bound)}" if one.bound is not None else ""
         share = one.norm.value / norm - 1
         change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
         said.append(f"{name} {digits(one.norm.value)} ({change}{bound})" if one.stable else f"{name} UNSTABLE")
-    return f"norm with the law's numbers as {'; as '.join(said)}"
+    return f"norm with the law's numbers as {'; as '.join(said)}" if said else ""

@@ -115,6 +115,11 @@ class Cost:
     lost: float
     lost_late: float
 
+    @property
+    def redesigned(self) -> bool:
+        """True if a design for any rate was made or tried."""
+        return any(at.designed is not None or at.undesigned for at in self.rates)
+
     def loss(self, norm: SampledNorm) -> float:
         """Returns the relative excess of a norm over the continuous loop's; negative if it is less, infinite if unstable."""
         return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf

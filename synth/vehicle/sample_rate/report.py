@@ -33,7 +33,7 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
     Args:
         lag: lag of the actuators in words, or empty.
     """
-    kinds = [name for name in KINDS if name != "designed" or any(_has_designs(one) for one in costs)]
+    kinds = [name for name in KINDS if name != "designed" or any(one.redesigned for one in costs)]
     fields = [
         Field[Cost]("controller", lambda one: one.controller.name),
         Field[Cost]("cheap [Hz]", lambda one: HERTZ.digits(1 / _cheap(one).period)),
@@ -55,7 +55,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
     designed = "designed: with a gain designed for this rate; " if designs else ""
     text = (
         f"cheap: the slowest rate that raises the norm by {percent(LITTLE)} or less, or the fastest. at once, late: change of "
-        f"the norm with forces that act at once, or {late(one)}; {designed}lost: highest unstable rate, - if "
+        f"the norm with forces that act at once, or {delay_text(one.delay)}; {designed}lost: highest unstable rate, - if "
         f"none down to {1 / LONGEST_PERIOD:g} Hz."
     )
     return f"{text} Norms include {lag}; those of the design table do not." if lag else text
@@ -67,7 +67,7 @@ def _table(one: Cost, lag: str, detail: Detail) -> Document:
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name
     title = f"controller {name}: norm in continuous time{', with ' if lag else ''}{lag} {ideal}{bound}"
-    fields = [RATE, *(Field[AtRate](label, partial(_cell, one, KINDS[label])) for label in [*KINDS][: 2 + _has_designs(one)])]
+    fields = [RATE, *(Field[AtRate](label, partial(_cell, one, KINDS[label])) for label in [*KINDS][: 2 + one.redesigned])]
     table = Table.of(f"rates-{name}", "The norm at each rate, and its change from continuous time.", fields, one.rates)
     missing = by_text((f"{1e3 * at.period:g} ms", re.split("[:;]", at.undesigned)[0]) for at in one.rates if at.undesigned)
     return Document(title, (table, *notes(*(f"no design at {rates}: {why}" for why, rates in missing.items()))), detail)
@@ -75,11 +75,6 @@ def _table(one: Cost, lag: str, detail: Detail) -> Document:
 
 RATE = Field[AtRate]("sample", lambda at: f"{1e3 * at.period:g} ms ({HERTZ.text(1 / at.period)})")
 HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
-
-
-def _has_designs(one: Cost) -> bool:
-    """Returns True if a design for any rate was made or tried."""
-    return any(at.designed is not None or at.undesigned for at in one.rates)
 
 
 def _cheap(one: Cost) -> AtRate:
@@ -114,18 +109,13 @@ def _lost(period: float) -> str | None:
 LOST = replace(HERTZ, form=".3g")
 
 
-def late(one: Cost) -> str:
-    """Returns the delay of the late forces, in words."""
-    return delay_text(one.delay)
-
-
 def failures(one: Cost) -> list[str]:
     """Returns the failures of the norms, in words."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
         for at in one.rates
-        for norm, how in ((at.undelayed_norm, "at once"), (at.late, late(one)), (at.designed, "designed for it"))
+        for norm, how in ((at.undelayed_norm, "at once"), (at.late, delay_text(one.delay)), (at.designed, "designed for it"))
         for text in norm_failures(norm)
     ]
 
@@ -190,10 +180,11 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
     marked = [at for at in one.rates if at.period in periods]
     ends = np.array([1e3 * one.rates[0].period, 1e3 * one.rates[-1].period])
     curves = []
-    kinds: list[tuple[str, str, Dash, float]] = [("at once", PROMPT, "solid", one.lost), (late(one), LATE, "dash", one.lost_late)]
-    for k, (name, color, dash, lost) in enumerate(kinds):
-        curves.append(Curve(*_norms(one.rates, k), name, color, dash))
-        curves.append(Curve(*_norms(marked, k), "", color, "none", "o", name=f"{name}, asked for"))
+    late = ("late", delay_text(one.delay), LATE, "dash", one.lost_late)
+    kinds: list[tuple[str, str, str, Dash, float]] = [("at once", "at once", PROMPT, "solid", one.lost), late]
+    for kind, name, color, dash, lost in kinds:
+        curves.append(Curve(*_norms(one.rates, KINDS[kind]), name, color, dash))
+        curves.append(Curve(*_norms(marked, KINDS[kind]), "", color, "none", "o", name=f"{name}, requested"))
         if ends[0] <= 1e3 * lost <= ends[1]:
             curves.append(Curve(np.full(2, 1e3 * lost), np.array([0.0, 1e6]), "", color, "dot", width=0.8))
     designs = np.array([(1e3 * at.period, at.designed.value) for at in marked if at.designed is not None and at.designed.stable])
@@ -217,21 +208,17 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
     )
 
 
-def _norms(rates: Sequence[AtRate], kind: int) -> tuple[Array, Array]:
-    """Sample periods [ms], and norms, NaN where there are none."""
-    norms = [_both(at)[kind].value for at in rates]
+def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
+    """Returns sample periods [ms] and norms, NaN for an unstable loop."""
+    norms = [norm.value for at in rates if (norm := kind(at)) is not None]
     return np.array([1e3 * at.period for at in rates]), np.where(np.isfinite(norms), norms, np.nan)
 
 
 def _shown(one: Cost) -> tuple[float, float]:
     """The range that is shown."""
-    norms = [norm.value for at in one.rates for norm in _both(at) if norm.stable]
+    norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.late) if norm.stable]
     known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]
     if not norms:
         return (0.0, max(known, default=1.0))
     highest = max(norms)
     return min([*norms, *known]), min(highest, HIGHEST * one.ideal) if known else highest
-
-
-def _both(at: AtRate) -> tuple[SampledNorm, SampledNorm]:
-    return at.undelayed_norm, at.late

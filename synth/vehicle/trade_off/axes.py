@@ -1,7 +1,7 @@
 """Axes of a trade-off, each a proved norm to be minimised, and their landscapes."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.laws.goals import NormOf
+from models.laws.goals import EVERYWHERE, NormOf
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
@@ -27,6 +27,8 @@ OFF = 0.1  # of a reading
 LOWEST, HIGHEST = 1e-3, 1e3  # Hz, of a band
 FEWEST, MOST = 2, 3
 ACCELERATIONS = ("m/s2", "rad/s2")
+AXES = ("ride", "travel", "road_holding", "force", "band", "tolerance")
+DEFLECTIONS = {"travel": "suspension_deflection", "road_holding": "tyre_deflection"}
 NUMBER = r"\d+(?:\.\d*)?"
 
 
@@ -74,38 +76,27 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
         if any(axis.name == name for axis in axes):
             raise InputError(f"--front names {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
-            raise InputError(f"--front {part}: {name} takes nothing behind it; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
-        axes.append(AXES[name](vehicle, given if equals else None))
+            raise InputError(f"--front {part}: {name} takes no value; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
+        axes.append(_axis(vehicle, name, given if equals else None))
     return tuple(axes)
 
 
-def _ride(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _accelerations(vehicle, "ride")
-    return FrontAxis(
-        "ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals)
-    )
-
-
-def _band(vehicle: Vehicle, given: str | None) -> FrontAxis:
-    low, high = BAND if given is None else _edges(given)
-    signals = _accelerations(vehicle, "band")
-    text = f"norm from the road's velocity to {_weighed(signals)} from {low:g} to {high:g} Hz"
-    return FrontAxis("band", NormOf(signals, (low, high)), 0.0, text, _unit(vehicle, signals))
-
-
-def _travel(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _called(vehicle, "travel", "suspension_deflection")
-    return FrontAxis("travel", NormOf(signals), 0.0, "norm from the road's velocity to suspension deflection", "m per m/s")
-
-
-def _road_holding(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = _called(vehicle, "road_holding", "tyre_deflection")
-    return FrontAxis("road_holding", NormOf(signals), 0.0, "norm from the road's velocity to tyre deflection", "m per m/s")
-
-
-def _force(vehicle: Vehicle, _: str | None) -> FrontAxis:
-    signals = dict.fromkeys(vehicle.linear_model.inputs, 1.0)
-    return FrontAxis("force", NormOf(signals), 0.0, "norm from the road's velocity to control force", "N per m/s")
+def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
+    """Returns the axis of a name, with the value that is given behind it, if any."""
+    if name == "tolerance":
+        return _tolerance(vehicle, given)
+    if name == "force":
+        signals, of, unit = dict.fromkeys(vehicle.linear_model.inputs, 1.0), "control force", "N per m/s"
+    elif name in DEFLECTIONS:
+        signals, of, unit = _called(vehicle, name, DEFLECTIONS[name]), DEFLECTIONS[name].replace("_", " "), "m per m/s"
+    else:
+        signals = _accelerations(vehicle, name)
+        of, unit = _weighed(signals), _unit(vehicle, signals)
+    text, band = f"norm from the road's velocity to {of}", EVERYWHERE
+    if name == "band":
+        band = BAND if given is None else _edges(given)
+        text += f" from {band[0]:g} to {band[1]:g} Hz"
+    return FrontAxis(name, NormOf(signals, band), 0.0, text, unit)
 
 
 def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
@@ -113,25 +104,13 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
             raise InputError(
-                f"--front tolerance={given}: not a share; give one above 0, up to 90, in per cent, e.g. tolerance=10"
+                f"--front tolerance={given}: not an error; give one above 0, up to 90, in percent, e.g. tolerance=10"
             )
         off = float(given) / 100
     if vehicle.filtered:
-        raise InputError(
-            "--front tolerance: weights of [performance] that are filters are not looked at with errors; omit tolerance"
-        )
+        raise InputError("--front tolerance: filters in [performance] cannot be combined with measurement errors; omit tolerance")
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
-
-
-AXES: Mapping[str, Callable[[Vehicle, str | None], FrontAxis]] = {
-    "ride": _ride,
-    "travel": _travel,
-    "road_holding": _road_holding,
-    "force": _force,
-    "band": _band,
-    "tolerance": _tolerance,
-}
 
 
 def _edges(given: str) -> tuple[float, float]:
@@ -140,7 +119,7 @@ def _edges(given: str) -> tuple[float, float]:
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
         raise InputError(
-            f"--front band={given}: not a band; give where it begins and ends, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
+            f"--front band={given}: not a band; give its lower and upper end, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
         )
     return low, high
 
@@ -153,7 +132,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or omit {axis}")
+        raise InputError(f"--front {axis} needs accelerations, and [performance] weights none; weight one there, or omit {axis}")
     return weights
 
 
@@ -161,7 +140,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
-        raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; omit {axis}")
+        raise InputError(f"--front {axis} needs signals called {stem}, and this vehicle has none; omit {axis}")
     return weights
 
 

@@ -17,7 +17,6 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, problem
-from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
@@ -115,9 +114,9 @@ def front(
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
-    judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
+    goals, posed = entry.goals, problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
-    swept: list[EvaluatedGain] = []
+    asked, swept = goal_problem(vehicle, entry, goals or Goals()), list[EvaluatedGain]()
     for i, unit in enumerate(rays(trace.ends(), count)):
         swept.append(trace.step_along(unit))
         on_progress(i + 1)
@@ -129,28 +128,21 @@ def front(
         law = static_law(trace.gain(each))
         certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
-        promises = judged(law.D)
-        controller = Controller(
-            entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, specifications=promises
-        )
-        claims = certificate.bound is not None and not (certificate.failures or controller.unmet_specifications)
-        if claims and all(np.isfinite(norm.proved) for norm in norms):
+        promises = () if goals is None else Verification(vehicle, entry, goals, asked, law.D).promises()
+        controller = Controller.of(entry, law, certificate, specifications=promises)
+        if certificate.bound is not None and not controller.failures and all(np.isfinite(norm.proved) for norm in norms):
             points.append(Point(controller, norms))
         else:
             unproved += 1
     best = undominated(np.array([point.values for point in points]))
     first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
-    shown: list[Point] = []
-    missing: dict[str, str] = {}
-    for each_name, other in _others(designer, axes, others, entry.hardware.loads):
-        if isinstance(other, Point):
-            shown.append(other)
-        else:
-            missing[each_name] = other
+    found = dict(_others(designer, axes, others, entry.hardware.loads))
+    shown = tuple(one for one in found.values() if isinstance(one, Point))
+    missing = {name: why for name, why in found.items() if isinstance(why, str)}
     bounds = tuple(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads))
     for i, travel in _over_the_bump(vehicle, entry, first):
         first[i] = replace(first[i], travel=travel)
-    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, bounds, len(swept), unproved)
+    return Front(vehicle, name, tuple(axes), tuple(first), shown, missing, bounds, len(swept), unproved)
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
@@ -164,12 +156,12 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     entry = vehicle.controllers.get(name)
     why = ""
     if entry is None:
-        why = "it measures nothing" if name == "passive" else "this vehicle has none of that name"
+        why = "it measures nothing" if name == "passive" else "this vehicle has no controller of that name"
     if why or entry is None:
-        raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
+        raise InputError(f"--front cannot design static gains like {name!r}: {why}; give another controller with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(f"controller {name!r}: --front with an integral in [performance]: its static gains have none; omit it")
+        raise InputError(f"controller {name!r}: --front designs static gains, which have no integral; omit that in [performance]")
     return entry
 
 
@@ -204,15 +196,6 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
     return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
-def _judged(vehicle: Vehicle, entry: ControllerEntry):
-    """Returns a function that verifies a gain against the specifications of its section."""
-    if entry.goals is None:
-        return lambda K: ()
-    goals = entry.goals
-    problem = goal_problem(vehicle, entry, goals)
-    return lambda K: Verification(vehicle, entry, goals, problem, K).promises()
-
-
 def _others(
     designer: Designer, axes: Sequence[FrontAxis], names: Sequence[str], loads: Sequence[tuple[str, float]]
 ) -> Iterator[tuple[str, Point | str]]:
@@ -236,6 +219,5 @@ def _limits(
 ) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
-    bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
-    return limits(plants, bands, np.where(units > 0, units, 1.0))
+    return limits(plants, [axis.norm.rates for axis in axes], np.where(units > 0, units, 1.0))

@@ -9,6 +9,7 @@ and many weights draw a line. What no control force changes at one frequency of 
 of two as weights leave the numbers of the plant as they are, so that the proofs, which are exact, are of them.
 """
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -67,34 +68,23 @@ def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> I
     return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
 
 
+@numerics()
 def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
-    narrow = [bands[k] for k in pair if bands[k] != EVERYWHERE]
-    norms = []
-    for weight in weights:
-        kept = [(plants[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
+    norms = np.zeros(len(weights))  # 0 if no bound is found
+    for i, weight in enumerate(weights):
+        kept = [(plants[k], bands[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
         stack = replace(
             kept[0][0],
-            C=np.vstack([own * plant.C for plant, own in kept]),
-            D=np.vstack([own * plant.D for plant, own in kept]),
-            Dw=np.vstack([own * plant.Dw for plant, own in kept]),
+            C=np.vstack([own * plant.C for plant, _, own in kept]),
+            D=np.vstack([own * plant.D for plant, _, own in kept]),
+            Dw=np.vstack([own * plant.Dw for plant, _, own in kept]),
         )
-        of_band = narrow and any(own > 0 and bands[k] != EVERYWHERE for k, own in zip(pair, weight, strict=True))
-        norms.append(_at_some(stack, narrow[0]) if of_band else _anywhere(stack))
-    return LowerBoundCurve(pair, weights, np.array(norms))
-
-
-@numerics()
-def _anywhere(plant: GeneralizedPlant) -> float:
-    """Returns the lower bound on the norm over all frequencies; 0 if none is found."""
-    try:
-        return find_lower_bound(plant, beyond_control=bound_beyond_control(plant)).gamma
-    except DesignError:
-        return 0.0
-
-
-@numerics()
-def _at_some(plant: GeneralizedPlant, band: Band) -> float:
-    """Returns the largest bound in a band that no control force changes."""
-    return max(limit_at(plant, float(omega)) for omega in np.linspace(*band, IN_BAND))
+        narrow = [band for _, band, _ in kept if band != EVERYWHERE]
+        if narrow:
+            norms[i] = max(limit_at(stack, float(omega)) for omega in np.linspace(*narrow[0], IN_BAND))
+        else:
+            with contextlib.suppress(DesignError):
+                norms[i] = find_lower_bound(stack, beyond_control=bound_beyond_control(stack)).gamma
+    return LowerBoundCurve(pair, weights, norms)

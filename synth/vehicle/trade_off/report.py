@@ -2,7 +2,6 @@
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
@@ -19,7 +18,6 @@ from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel
 from models.vehicle.names import without_copies
 from synth.analysis.specification import NORM_DIGITS
 from synth.controller.report import BOUND, NORM, judged_lines
-from synth.vehicle.trade_off.axes import AxisValue
 from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
@@ -82,16 +80,17 @@ def _results(front: Front) -> list[str]:
     ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
     for one in front.others:
-        better = [i + 1 for i, point in enumerate(front.points) if _beats(point.values, one.values)]
-        beaten[one.controller.name] = f"{len(better)} (such as point {better[len(better) // 2]})" if better else "none"
-    texts = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}."]
-    texts += [f"{front.unproved} other designs are omitted, because a claim could not be proved."] if front.unproved else []
+        better = np.flatnonzero(np.all(front.values < one.values, axis=1)) + 1
+        beaten[one.controller.name] = f"{len(better)} (such as point {better[len(better) // 2]})" if len(better) else "none"
+    texts = [f"{len(front.points)} certified designs, none better than another on all axes: {ends}."]
+    texts += [f"{front.unproved} other designs are omitted, as a claim could not be proved."] if front.unproved else []
     alike = ", ".join(f"than {names} {text}" for text, names in by_text(beaten.items()).items())
-    return [*texts, f"Designs that are better in all axes: {alike}."] if alike else texts
+    return [*texts, f"Designs that are better on all axes: {alike}."] if alike else texts
 
 
 def front_object(front: Front) -> dict[str, Any]:
     """Returns the front as a JSON object in SI units."""
+    names = [axis.name for axis in front.axes]
     return {
         "controller": front.name,
         "axes": [
@@ -108,7 +107,10 @@ def front_object(front: Front) -> dict[str, Any]:
         "points": [{"point": i + 1, **_object(front, point)} for i, point in enumerate(front.points)],
         "others": [{"name": one.controller.name, **_object(front, one)} for one in front.others],
         "missing": front.missing,
-        "limits": [_limit_object(front, limit) for limit in front.limits],
+        "limits": [
+            {"axes": [names[k] for k in one.axes], "weights": one.weights.tolist(), "norms": one.norms.tolist()}
+            for one in front.limits
+        ],
         "loads": dict(front.points[0].controller.hardware.loads) if front.points else {},
         "designs": front.tried,
         "unproved": front.unproved,
@@ -117,43 +119,29 @@ def front_object(front: Front) -> dict[str, Any]:
 
 
 def write_csv(front: Front, path: Path) -> None:
-    """A row to a point and to every other controller, SI units; what is not known is left empty."""
-    names = [axis.name for axis in front.axes]
-    entries = [f"gain_{i + 1}_{j + 1}" for i, j in _indices(front)]
+    """Writes a row for each point and each other controller, SI units. Unknown numbers and others' gains are empty."""
+    names, (m, q) = [axis.name for axis in front.axes], front.points[0].controller.gain.shape
+    entries = [f"gain_{i + 1}_{j + 1}" for i in range(m) for j in range(q)]
+    rows: list[list[Any]] = [["point", *names, *(f"{name}_proved" for name in names), *(one.key for one in NUMBERS), *entries]]
+    for i, one in enumerate((*front.points, *front.others)):
+        own = i < len(front.points)
+        numbers = [*one.values, *(norm.proved for norm in one.norms), *(field.value(one) for field in NUMBERS)]
+        gain = one.controller.gain.ravel().tolist() if own else [None] * len(entries)
+        rows.append([i + 1 if own else one.controller.name, *map(finite, numbers), *gain])
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["point", *names, *(f"{name}_proved" for name in names), *(one.key for one in NUMBERS), *entries])
-        for i, point in enumerate(front.points):
-            gain = point.controller.gain
-            writer.writerow([i + 1, *_cells(point), *(gain[k] for k in _indices(front))])
-        for one in front.others:
-            writer.writerow([one.controller.name, *_cells(one), *("" for _ in entries)])
-
-
-def _cells(point: Point) -> list[float | str]:
-    numbers = [*point.values, *(norm.proved for norm in point.norms), *(one.value(point) for one in NUMBERS)]
-    return ["" if value is None or not math.isfinite(value) else value for value in numbers]
+        csv.writer(file).writerows(rows)
 
 
 def _object(front: Front, point: Point) -> dict[str, Any]:
-    controller = point.controller
+    controller, norms = point.controller, zip(front.axes, point.norms, strict=True)
     return {
-        "values": {axis.name: _norm(norm) for axis, norm in zip(front.axes, point.norms, strict=True)},
+        "values": {
+            axis.name: {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
+            for axis, norm in norms
+        },
         "measured": list(controller.measured),
         "gain": controller.gain.tolist(),
         **json_object(NUMBERS, point),
-    }
-
-
-def _norm(norm: AxisValue) -> dict[str, float | None]:
-    return {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
-
-
-def _limit_object(front: Front, limit: LowerBoundCurve) -> dict[str, Any]:
-    return {
-        "axes": [front.axes[k].name for k in limit.axes],
-        "weights": limit.weights.tolist(),
-        "norms": limit.norms.tolist(),
     }
 
 
@@ -164,9 +152,9 @@ def _limit_texts(front: Front) -> list[str]:
         first, second = (front.axes[k].name for k in limit.axes)
         shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
-        near = f"point {i + 1} is nearest, at {MUJOCO.digits(float(shares[i]))} times the line of {first} and {second}"
+        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}, at {MUJOCO.digits(float(shares[i]))} times"
         no = f"nothing is proved about {first} and {second} together"
-        texts.append(f"Limit: {f'{near} that no controller crosses' if math.isfinite(shares[i]) else no}.")
+        texts.append(f"Limit: {f'{near} the bound' if math.isfinite(shares[i]) else no}.")
     return texts
 
 
@@ -177,16 +165,6 @@ def _gain(point: Point) -> str:
     """All entries where they fit on a line."""
     entries = point.controller.gain.ravel()
     return " ".join(ENTRY.digits(float(entry)) for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
-
-
-def _indices(front: Front) -> list[tuple[int, int]]:
-    """Returns the indices of the gain's entries."""
-    m, q = front.points[0].controller.gain.shape
-    return [(i, j) for i in range(m) for j in range(q)]
-
-
-def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(a < b for a, b in zip(one, other, strict=True))
 
 
 WIDER = 0.06  # of what is shown, around it
@@ -204,10 +182,8 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")
-    title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none of which another beats in all"
-    if len(panels) > 1:
-        return Figure("front", title, panels, 3)
-    return Figure("front", title, panels, 1)
+    title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none better than another on all axes"
+    return Figure("front", title, panels, 3 if len(panels) > 1 else 1)
 
 
 def line(limit: LowerBoundCurve, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
@@ -225,18 +201,16 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     values = front.values[:, [i, j]]
     others = {one.controller.name: (one.values[i], one.values[j]) for one in front.others}
     ranges, beyond = _shown(values, np.array(list(others.values())).reshape(-1, 2))
-    dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "none", "+", name="design")
-    if len(front.axes) == 2:
-        dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "solid", "", 2.2)
-    curves = [dots, Curve(*line(limit, *ranges), "no controller comes below this line", LINE, "dot", width=1.2)]
+    x, y = values.T
+    dots = Curve(x, y, "designs on the front", DESIGNS, "none", "+", name="design")
+    joined = Curve(x, y, "designs on the front", DESIGNS, "solid", "", 2.2)
+    low, bound = line(limit, *ranges)
+    curves = [joined if len(front.axes) == 2 else dots]
+    curves.append(Curve(low, bound, "lower bound for every controller", LINE, "dot", width=1.2))
     look = styles(tuple(others))
     for names in _together(others, beyond, ranges):
-        (x, y), text = others[names[0]], ", ".join(names)
-        curves.append(
-            Curve(
-                np.array([x]), np.array([y]), text, look[names[0]].color, "none", look[names[0]].marker, name=f"controller {text}"
-            )
-        )
+        (x, y), text, (color, _, marker) = np.array(others[names[0]])[:, None], ", ".join(names), look[names[0]]
+        curves.append(Curve(x, y, text, color, "none", marker, name=f"controller {text}"))
     # Several wheels that meet one road need not reach the norm; such a point would seem to cross the line.
     alone = len(front.vehicle.kind.wheels) == 1
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
@@ -259,13 +233,10 @@ def _together(
     """The names of those that are shown, such that lie in one place together."""
     size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
-        if far:
-            continue
-        for names in groups:
-            if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size):
-                names.append(name)
-                break
-        else:
+        near = [names for names in groups if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size)]
+        if near and not far:
+            near[0].append(name)
+        elif not far:
             groups.append([name])
     return groups
 
