@@ -23,7 +23,6 @@ from models.kinds.signals import (
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
-    from models.suspension.motion_ratio import RatioTable
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; parameters beyond these are mistakes, and rounding would decide
 
@@ -291,7 +290,8 @@ class VehicleKind(Checked):
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
             compared with the linear model alone.
         static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
-        ratios: motion ratios that change with travel, by parameter, in the kind of a vehicle that has some.
+        ratios: `models.suspension.motion_ratio.RatioTable` of each motion ratio that changes with travel, by parameter; only in
+            the kind of a vehicle that has some.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -314,7 +314,7 @@ class VehicleKind(Checked):
     angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = no_angles
     motion: Callable[[Parameters], "Motion"] | None = None
     static_loads: Callable[[Parameters], Mapping[str, float]] = no_loads
-    ratios: "Mapping[str, RatioTable]" = field(default_factory=dict)
+    ratios: Mapping[str, Any] = field(default_factory=dict)
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -145,8 +145,8 @@ def fitted(
                 curve = curves.get(name)
                 curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
             if table is not None and name in parameters:
-                curve = curve or table.line(parameters[name])
-                at_wheel = table.spring(curve, loads[suspension.deflection]) if over is DEFLECTION else table.damper(curve)
+                rate, load = parameters[name], loads[suspension.deflection]
+                at_wheel = table.spring(curve, rate, load) if over is DEFLECTION else table.damper(curve, rate)
                 placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, at_wheel, ratio))
             elif curve is not None:
                 placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve.at_wheel(ratio), ratio))

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from models.suspension.bump_stops import Stops
 
 SMALLEST, LARGEST = 0.05, 5.0
-LEAST_ERROR, COARSER = 1e-5, 1.5  # of the lines, over the largest force, raised until there are as few as MuJoCo has for a curve
+# Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
+ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
 FINE = 801  # points of P, of which the lines take some
@@ -87,8 +89,9 @@ class RatioTable:
             d = d - (self.travel(d) - travel) / self(d)
         return d
 
-    def spring(self, curve: ForceCurve, load: float) -> ForceCurve:
-        """Returns P of a spring that carries a load W [N] at rest."""
+    def spring(self, curve: ForceCurve | None, rate: float, load: float) -> ForceCurve:
+        """Returns P of a spring that carries a load W [N] at rest, by its curve, or None for one of a constant rate."""
+        curve = curve or line(rate, *self.travel(self.x[[0, -1]]).tolist())
         preload = load / self.at_rest
         slope = self.at_rest**2 * curve.slope - self.turn * load
         reach = [*self.x, *self.deflection(curve.x)]
@@ -98,27 +101,22 @@ class RatioTable:
         def pull(d: Array) -> Array:
             return self(d) * (curve(self.travel(d)) - preload) + load
 
-        force, error = pull(x), LEAST_ERROR
+        force = pull(x)
         largest = float(np.abs(force[1:-1]).max())
-        while True:
-            lines = _lines(x, force, slope, error * largest)
-            if len(lines[0]) <= MOST_LINES + 1:
-                break
-            error *= COARSER
-        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:.2g} %"
+        by_error = ((error, _lines(x, force, slope, error * largest)) for error in ERRORS)
+        error, lines = next((one for one in by_error if len(one[1][0]) <= MOST_LINES + 1), (0.0, (x, force)))
+        if not error:
+            raise InputError(f"its motion ratio makes more than {MOST_LINES} straight lines of it; smooth their tables")
+        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:g} %"
         return ForceCurve(*lines, slope, words)
 
-    def line(self, slope: float) -> ForceCurve:
-        """Returns a straight characteristic over the table's travel, or over velocity [m/s]."""
-        x = self.travel(self.x[[0, -1]])
-        return ForceCurve(np.array([x[0], 0.0, x[1]]), slope * np.array([x[0], 0.0, x[1]]), slope, "a line")
-
-    def damper(self, curve: ForceCurve) -> ForceSurface:
-        """Returns the force of a damper at the wheel over velocity and deflection.
+    def damper(self, curve: ForceCurve | None, rate: float) -> ForceSurface:
+        """Returns the force of a damper at the wheel over velocity and deflection; arguments as for a spring.
 
         One that is position-dependent has the forces of its table at the deflections of both tables and at `COLUMNS` more, and is
         straight between.
         """
+        curve = curve or line(rate, -FAST, FAST)
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
             ends, v = self.deflection(curve.deflections), curve.velocities
@@ -134,6 +132,12 @@ class RatioTable:
             begins = self.deflection(np.array(sign * stop.stroke))
             both[side] = replace(stop.at_wheel(float(self(begins))), stroke=abs(float(begins)))
         return replace(stops, **both)
+
+
+def line(slope: float, low: float, high: float) -> ForceCurve:
+    """Returns a straight characteristic, whose largest force is that at the ends of a range."""
+    x = np.array([low, 0.0, high])
+    return ForceCurve(x, slope * x, slope, "a line")
 
 
 def _lines(x: Array, force: Array, slope: float, error: float) -> tuple[Array, Array]:

@@ -592,4 +592,6 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     )
     for entry in controllers.values():
         vehicle.check_entry(entry)
+    if vehicle_kind.ratios:
+        _ = vehicle.fitted  # which are few enough lines
     return vehicle
