@@ -71,7 +71,7 @@ class Curve:
         name: name in the text alternative. Default: the label.
         color: colour as `#rrggbb`.
         dash: dash of the line.
-        marker: True to mark every point.
+        marker: marker of every point; empty for none.
         width: width of the line [points].
         filled: True for full markers instead of hollow ones.
     """

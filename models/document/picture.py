@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, middle_cut
 from models.common.files import whole_file
 from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
@@ -37,7 +37,7 @@ DASHES: dict[str, Any] = {
     "longdash": (0, (8, 2)),
     "none": "",
 }
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": FONT,
     "text.parse_math": False,
     "axes.xmargin": 0.04,
@@ -142,7 +142,7 @@ def _whole(figure: Figure) -> _Sheet:
     wide, high = (max(ends) for ends in zip(*sizes, strict=True))
     width = max(wide * columns, WIDE[0])
     words = _paragraphs(figure.finding, figure.title, room=width)
-    entries = [(one, one.label if " " in one.label else middle_cut(one.label)) for one in legend(figure)]
+    entries = [(one, one.label if " " in one.label else middle_cut(one.label, LONGEST)) for one in legend(figure)]
     across = max((text_width(name, FONT) + KEY + 32 for _, name in entries), default=1.0)
     keys = max(1, min(len(entries), int(width / across)))
     titles = [_paragraphs(*notation(panel.title).split("\n"), room=wide - 10) for panel in figure.panels]
@@ -167,11 +167,6 @@ def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
     """Returns the lines of paragraphs with their weights: the first is bold."""
     bold = [(line, "bold") for line in wrapped(notation(first), room / BOLD, FONT)]
     return bold + [(line, "normal") for text in others for line in wrapped(notation(text), room, FONT)]
-
-
-def middle_cut(name: str) -> str:
-    """Returns a name of at most `LONGEST` letters, without its middle if it is longer: names often differ at their ends."""
-    return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[len(name) - (LONGEST - 1) // 2 :]}"
 
 
 def _key(entry: Entry, x: Array, height: float) -> Any:

@@ -109,19 +109,17 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
         constant = []
     same = tuple(f"{headings[i]}: {notation(columns[i][0])}" for i in constant if columns[i][0] != "-")
     marks, notes = (ascii_lowercase[k] if k < len(ascii_lowercase) else str(k) for k in count()), dict[str, str]()
-    shown = []
-    for i, column in enumerate(columns):
-        if i not in constant:
-            column = aligned(column) if pivot is None else column
-            shown.append([notation(cell) for cell in _noted(column, marks, notes)] if i else column)
-    body = [tuple(row) for row in zip(*shown, strict=True)]
-    if pivot is not None:  # a row is of one quantity
-        body = [(*row[:words], *aligned(row[words:])) for row in body]
-        body = [(*row[:words], *(notation(cell) for cell in row[words:])) for row in body]
-    kept = tuple(notation(heading) for i, heading in enumerate(headings) if i not in constant)
-    left = sum(i < words for i in range(len(headings)) if i not in constant)
-    notes_list = tuple((mark, notation(text)) for text, mark in notes.items())
-    return Reading(kept, tuple(body), left, same, notes_list, len(body) > MANY)
+    kept = [i for i in range(len(columns)) if i not in constant]
+    cells = [aligned(column) if pivot is not None else _noted(aligned(column), marks, notes) for column in columns[1:]]
+    shown = [[notation(cell) for cell in cells[i - 1]] if i else columns[0] for i in kept]
+    return Reading(
+        tuple(notation(headings[i]) for i in kept) if rows else tuple(headings),
+        tuple(zip(*shown, strict=True)),
+        sum(i < words for i in kept),
+        same,
+        tuple((mark, notation(text)) for text, mark in notes.items()),
+        len(rows) > MANY,
+    )
 
 
 def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:

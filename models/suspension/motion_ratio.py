@@ -33,6 +33,8 @@ SMALLEST, LARGEST = 0.05, 5.0
 ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
 FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
+COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
+PLACES = 9  # decimal places of a deflection [m] at which tables have a point
 FINE = 801  # points of P, of which the lines take some
 
 
@@ -109,10 +111,18 @@ class RatioTable:
         return ForceCurve(*lines, slope, words)
 
     def damper(self, curve: ForceCurve | None, rate: float) -> ForceSurface:
-        """Returns the force of a damper at the wheel over velocity and deflection; arguments as for a spring."""
+        """Returns the force of a damper at the wheel over velocity and deflection; arguments as for a spring.
+
+        One that is position-dependent has the forces of its table at the deflections of both tables and at `COLUMNS` more, and is
+        straight between.
+        """
         curve = curve or line(rate, -FAST, FAST)
-        over = np.repeat(curve.force[:, None], len(self.x), axis=1)
-        surface = surface_of(curve.x, self.x, over, f"{curve.words}, at its motion ratio", self.ratio)
+        d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
+        if isinstance(curve, ForceSurface):
+            ends, v = self.deflection(curve.deflections), curve.velocities
+            d = np.unique(np.round([0.0, *self.x, *ends, *np.linspace(ends[0], ends[-1], COLUMNS)], PLACES))
+            table = curve.along(v[:, None], self.travel(d))
+        surface = surface_of(v, d, table, f"{curve.words}, at its motion ratio", self(d))
         return replace(surface, slope=self.at_rest**2 * curve.slope)
 
     def stops(self, stops: "Stops") -> "Stops":

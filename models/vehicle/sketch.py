@@ -109,5 +109,5 @@ def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]
     if computer:
         measured = dict.fromkeys(name.replace("_", " ") for entry in vehicle.controllers.values() for name in entry.measured)
         yield "y", "sensors", ", ".join(measured) or "none"
-        ideal = "ideal: a force at every step at once, from exact signals"
+        ideal = "ideal: forces act at every step without delay, from exact signals"
         yield "", "computer", ", ".join(vehicle.implementation.phrases).replace("_", " ") or ideal

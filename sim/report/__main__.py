@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen_of
 from models.common.errors import InputError
-from models.common.printed import Stages, Whole, say, some_sentences
+from models.common.printed import Stages, Whole, say, show, some_sentences
 from models.vehicle.names import PLUS, without_copies
 from sim.command.road_options import (
     add_exported,
@@ -184,7 +184,7 @@ def _reported(
 ) -> "Report":
     """A report whose page is written, with its figures if they are requested."""
     from sim.command.comparison import controllers_of, runnable, warn
-    from sim.report.contents import report, stages
+    from sim.report.contents import pieces_of, report, stages
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import BUMP_DURATION, Scope, check_scope
     from sim.runs.run import sample_times
@@ -207,12 +207,7 @@ def _reported(
     if loads:
         loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
 
-    stage = Stages(
-        "designs",
-        *stages(vehicle, options.quick, bool(loads), options.front is not None, options.exported is not None),
-        "the page",
-    )
-    stage("designs")
+    show("designs")
     designer = Designer(vehicle)
     controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
     if options.exported is not None:
@@ -223,7 +218,9 @@ def _reported(
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     own = {"own_road": road, "road_name": name, "duration": duration}
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported, **own)
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
+    stage = Stages(*stages(pieces_of(scope)), "the page")
+    scope = replace(scope, progress=stage)
     result = report(scope, _about(vehicle.source), pool.begin)
     stage("the page")
     _write(result.page, outputs)

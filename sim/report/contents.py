@@ -1,7 +1,7 @@
 """Contents of a report: its answer, then section by section."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,7 +11,6 @@ from models.document.page import Page
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
-from models.vehicle.vehicle import Vehicle
 from sim.command.comparison import standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report.agreement import agreement_section, response_section
@@ -117,11 +116,9 @@ def report(
     return Report(whole, compared, where)
 
 
-def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bool = False) -> tuple[str, ...]:
-    """The stages of a page, in their order where one process does all of it: the reverse of `pieces_of`."""
-    there = {PAPER: is_the_papers(vehicle), LOADS: loads, EXPORTED: exported, FREQUENCIES: True, RIDE: not quick, MAP: not quick}
-    there |= {MARGINS: not quick, FRONT: front}
-    return BUMP, REGIME, *(name for name, wanted in there.items() if wanted)
+def stages(pieces: Iterable[Name]) -> tuple[str, ...]:
+    """Returns the stages of a page, in their order where one process computes all its pieces."""
+    return BUMP, REGIME, *dict.fromkeys(stage for stage, _ in reversed([*pieces]))
 
 
 def pieces_of(scope: Scope) -> dict[Name, Piece]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.printed import as_name
-from models.document.document import Block, Document, Statement, Table
+from models.document.document import Block, Document, Statement, Table, notes
 from models.document.document import statements as statements_on
 from models.document.field import Field
 from models.document.text import names_text
@@ -47,16 +47,16 @@ def _loops(scope: Scope) -> list[Statement]:
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
     if built:
-        text = f"Designs and certificates describe the ideal loop. MuJoCo runs the loop as built: {', '.join(built)}."
+        text = f"Designs and certificates describe the ideal loop. MuJoCo runs the implemented loop: {', '.join(built)}."
         statements.append(Statement(text, "holds"))
     for one in scope.controllers:
         stable, ideal = one in scope.stable, one.certificate.stable
         if not (stable and ideal):
-            words = "stable ideally and UNSTABLE as built, so only its design and its run are reported"
+            words = "stable ideally and UNSTABLE as implemented, so only its design and its run are reported"
             if not ideal:
                 words = "UNSTABLE, so only its run is reported"
             if stable:
-                words = "stable as built and UNSTABLE as the ideal loop, so it has no ideal norm and no margins"
+                words = "stable as implemented and UNSTABLE ideally, so it has no ideal norm and no margins"
             statements.append(Statement(f"The loop of {as_name(one.name)} is {words}.", "holds" if stable else "ends"))
         if broken := [promise for promise in one.specifications if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
@@ -105,7 +105,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     if not controller.measured:
         return None
     kind, forces, law = vehicle.kind, vehicle.linear_model.inputs, controller.law
-    entries, headings = controller.law.D, [force.replace("_", " ") for force in forces]
+    unit, entries, headings = kind.signal(forces[0]).unit, law.D, [force.replace("_", " ") for force in forces]
     caption = f"Gain of {as_name(controller.name)}: force per unit of each measured signal."
     if law.states:
         at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]
@@ -113,7 +113,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
         together = " of all forces together" if len(forces) > 1 else ""
         caption = f"Law of {as_name(controller.name)}, {states_text(law)}: force amplitude{together} per unit of each signal."
     rows = tuple(
-        (name.replace("_", " "), per_unit(kind.signal(forces[0]).unit, kind.signal(name).unit), *map(ENTRY.digits, row))
+        (name.replace("_", " "), per_unit(unit, kind.signal(name).unit), *map(ENTRY.digits, row))
         for name, row in zip(controller.measured, entries.T.tolist(), strict=True)
     )
     return Table(f"gain-{controller.name}", caption, ("for each", "unit", *headings), rows, words=2)
@@ -136,31 +136,32 @@ def paper_section(scope: Scope) -> Document:
         rows.append((row.equation, f"{row.quantity}{entry}", "same" if same else row.reason, *numbers))
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
     caption = "Every number that the paper prints of its designs, and ours to two digits more."
+    texts = [
+        "Remark 4: with L = 0 and the states (30), (25) has no solution. With the car's absolute motion as states and the road's "
+        "height as w, as in [33], it has one for `I`, whose gain grows without bound near the optimum, and none for `II`."
+    ]
     tables = [Table("paper", caption, headings, tuple(rows), words=3), without_l(scope.designer)]
     if not scope.quick:
         scope.progress("a genetic algorithm")
         tables.append(other_ways(scope.designer))
-    return Document("Numbers of the paper", tuple(tables))
+        texts.append("Remark 5: differential evolution minimises the norm itself. Times are of this machine.")
+    return Document("Numbers of the paper", (*notes(*texts), *tables))
 
 
 def without_l(designer: Designer) -> Table:
-    """Remark 4: what becomes of L = 0."""
+    """Returns the table of remark 4, on designs with L = 0."""
     columns: tuple[Field[WithoutL], ...] = (
         Field("controller", lambda one: f"{one.controller}, states {one.states}"),
         Field("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
         Field("bound", lambda one: "none" if one.bound is None else one.bound, ".5g"),
         Field("state feedback", lambda one: one.best, ".5g"),
     )
-    caption = (
-        "Remark 4: controllers by (25) with L = 0, in one step. With the states (30) there are none. With the car's absolute "
-        "motion as states, as in [33], and the road's height as w, (25) has a solution for I, whose gain grows without bound as "
-        "the optimum is approached, and none for II."
-    )
+    caption = "Remark 4: controllers by (25) with L = 0, in one step, with the states (30) and with those of [33]."
     return Table.of("without-l", caption, columns, remark_4(designer), detail="full")
 
 
 def other_ways(designer: Designer) -> Table:
-    """Remark 5: the two steps beside a genetic algorithm."""
+    """Returns the table of remark 5, on the two steps and a genetic algorithm."""
     columns: tuple[Field[Way], ...] = (
         Field("controller", lambda one: f"{one.controller}, {one.how}"),
         Field("work", lambda one: one.work),
@@ -168,8 +169,5 @@ def other_ways(designer: Designer) -> Table:
         Field("norm", lambda one: one.norm, ".6f"),
         Field("processor time [s]", lambda one: one.seconds, ".2f"),
     )
-    caption = (
-        "Remark 5: the two steps beside a genetic algorithm (differential evolution on the norm itself, every entry of the gain "
-        f"from {-BOX:g} to {BOX:g}, seed {SEED}). The times are of one run on the machine that made this page."
-    )
+    caption = f"Remark 5: the two steps and a genetic algorithm with gain entries from {-BOX:g} to {BOX:g}, seed {SEED}."
     return Table.of("other-ways", caption, columns, remark_5(designer), words=2, detail="full")

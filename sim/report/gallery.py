@@ -29,11 +29,12 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
         results: every entry with its compared numbers.
         about: time and origin of the page, by name.
     """
-    headline, *said = summary(results).blocks[1:]
+    found = summary(results)
+    headline, *said = found.statements
     table = Table("provenance", "Origin of this page.", ("what", "value"), tuple(about.items()), words=2)
     return Page(
         "Published results of suspensions, reproduced or refuted",
-        Document("", (*said, summary(results).tables[0])),
+        Document("", (*said, *found.tables)),
         (*(_section(*each) for each in results), Document("Provenance", (table,))),
         headline.text,
         {**VERDICTS, "holds": "every number is reproduced, or differs for a reason", "fails": "numbers are NOT REPRODUCED"},

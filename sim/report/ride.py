@@ -78,7 +78,7 @@ RIDE: tuple[Field[Ride], ...] = (
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
     """Every controller over every class."""
-    caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m, whatever the vehicle."
+    caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
     rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
@@ -128,7 +128,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
         return ""
     least = min(some, key=MEASURED.value)
     size = f"{MEASURED.cell(least)} {least.unit}"
-    return f"{as_name(least.controller)} has the smallest {least.metric} over roads of class {AVERAGE}: {size}."
+    return f"{as_name(least.controller)} rides best over roads of class {AVERAGE}: {least.metric} {size}."
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
@@ -138,11 +138,11 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.is_curved
     return (
         f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
-        "Weighted is the rms acceleration of ISO 2631-1, Wk. Dynamic load is the rms tyre force over its static value.",
+        "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms tyre force over its static value.",
         f"Predictions use the road's spectrum and the sampled linear loop{f', without {without}' if without else ''}.{curved}",
         "Values are root mean squares: in MuJoCo over the roads driven, predicted over all roads of the class. 'Road to road' is "
         "the standard deviation between such roads; MuJoCo's value differs by about half of it.",
-        "Lift-off is the largest share of time for which a tyre leaves one of these roads. A run is omitted if it diverges, "
+        "'Lift-off' is the largest share of time for which a tyre leaves one of these roads. A run is omitted if it diverges, "
         "overflows the states of a law, or compresses a tyre fully.",
     )
 

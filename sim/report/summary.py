@@ -27,7 +27,7 @@ from synth.controller.report import NORM
 PANELS = {  # of the first figure
     RIDE: "Acceleration of the body",
     TRAVEL: "Travel of the suspension",
-    LOAD: "Change of the tyre load",
+    LOAD: "Dynamic tyre load",
     FORCE: "Largest force",
 }
 GOAL = Field[float]("value", float, ".4g")
@@ -45,10 +45,10 @@ def first_screen(
     """
     more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), ".2g", unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
-    return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table)))
+    return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 
 
-def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table) -> Figure:
+def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table, where: str) -> Figure:
     """Returns bars of ride, travel, tyre load, force and dive of every controller, with changes as in the table."""
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
@@ -66,7 +66,7 @@ def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Stan
             panels.append(
                 Panel(title, quantity.title, "", (), Bars(names, lengths, words, tuple(look[name].color for name in names)))
             )
-    title = f"Shorter bars are better, ★ is the best. Percentages are changes from {as_name(PASSIVE)}."
+    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are changes from {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
 
 

@@ -469,8 +469,8 @@ def _damper_notes(run: RunResult) -> list[Statement]:
             texts.append(f"{names[force]}: with its valve's lag, {percent(one.late)} (rms) of the requested force is missing")
         if one.time:
             texts.append(
-                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; at "
-                f"{percent(one.time)} of the samples, force is missing, {percent(one.rms)} (rms) of the requested one"
+                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; the damper lacks "
+                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
             )
     if most > HALF and isinstance(run.controller, Controller):
         text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"

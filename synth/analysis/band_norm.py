@@ -16,7 +16,7 @@ import numpy as np
 
 from models.common.errors import InputError, quoted
 from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
-from synth.analysis.specification import digits, rate_digits
+from synth.analysis.specification import digits, rough
 from synth.analysis.stability import Stability, stability
 from synth.plant.discrete import continuous_loop, mapped_frequency, true_frequency
 from synth.plant.generalized import GeneralizedPlant
@@ -50,9 +50,9 @@ class BandNorm:
     @property
     def words(self) -> str:
         """The norm in the band on one line."""
-        band = f"{rate_digits(self.low / (2 * np.pi))} to {rate_digits(self.high / (2 * np.pi))} Hz"
+        band = f"{rough(self.low / (2 * np.pi))} to {rough(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
-            return f"infinite from {band}: a pole at {rate_digits(self.peak_frequency)} rad/s, to rounding, does not decay"
+            return f"infinite from {band}: a pole at {rough(self.peak_frequency)} rad/s, to rounding, does not decay"
         text = f"at most {digits(self.value)} from {band}, reached at {self.peak_frequency:.5g} rad/s"
         return text if self.stability.stable else f"{text}, but no sinusoid settles in this loop: {self.stability.words}"
 

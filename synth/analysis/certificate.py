@@ -40,7 +40,7 @@ from models.document.text import Shown, facts
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
-from synth.analysis.specification import digits, rounding_digits
+from synth.analysis.specification import digits, magnitude
 from synth.analysis.stability import Stability, balance, beside_weights, stability
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_states
 from synth.plant.numerics import numerics
@@ -157,7 +157,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
         return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
     if definiteness.smallest <= 0:
         return f"{false}: balanced, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
-    needed = f"{'above' if sign > 0 else 'below'} {rounding_digits(sign * definiteness.rounding)}"
+    needed = f"{'above' if sign > 0 else 'below'} {magnitude(sign * definiteness.rounding)}"
     smallest = f"{sign * definiteness.smallest:.1e}"
     return f"{open_}: balanced, its {which} eigenvalue is {smallest}, and must be {needed} to be beyond rounding"
 
@@ -261,7 +261,7 @@ class Certificate(Shown):
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
             remarks.append(
-                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {rounding_digits(rate / self.speed)} of the "
+                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {magnitude(rate / self.speed)} of the "
                 "plant's speed; weight the signal that it moves, or measure it"
             )
         if self.beyond_actuators:
@@ -283,11 +283,10 @@ class Certificate(Shown):
             failures.append(self.stability.words)
         elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
             failures.append(
-                f"rounding may have changed the norm by {rounding_digits(self.norm.rounding)}: the loop is too near to marginal "
-                "for floats"
+                f"rounding may have changed the norm by {magnitude(self.norm.rounding)}: the loop is too near marginal for floats"
             )
         elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
-            failures.append(f"the two routes to the norm differ by {rounding_digits(self.norm.gap)}")
+            failures.append(f"the two routes to the norm differ by {magnitude(self.norm.gap)}")
         if self.proof is not None:
             failures += self.proof.failures
             if self.norm.value > self.proof.bound:

@@ -14,7 +14,7 @@ from models.common.errors import InputError, listing, quoted
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
-from synth.analysis.specification import SAMPLED_NORM, claimed_digits
+from synth.analysis.specification import SAMPLED_NORM, exactly
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -144,12 +144,12 @@ def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[st
     true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:
-        wrong.append(f"the bound is claimed to be {claimed_digits(_number(record, 'bound'))} without its proof: there is no X")
+        wrong.append(f"the bound is claimed to be {exactly(_number(record, 'bound'))} without its proof: there is no X")
     if certificate.proof is None and "X" in record:
         wrong.append("there is an X and no bound that it proves")
     peak = _number(record, "peak_frequency")
     if peak is not None and not certificate.peaks_at(peak):
-        wrong.append(f"the norm is claimed to be reached at {claimed_digits(peak)} rad/s, and is not")
+        wrong.append(f"the norm is claimed to be reached at {exactly(peak)} rad/s, and is not")
     for claim in ("norm", "bound", "lower_bound"):
         claimed, true = _number(record, claim), true_record.get(claim)
         if claimed is None or (claim == "bound" and certificate.proof is None):
@@ -157,8 +157,8 @@ def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[st
         zero_norm = claim == "norm" and certificate.norm.value <= certificate.norm_rounding
         allowed = certificate.norm_rounding if zero_norm else SAME * claimed
         if true is None or not abs(true - claimed) <= allowed:
-            truth = claimed_digits(true) if true is not None else "infinite" if claim == "norm" else "unproved"
-            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {claimed_digits(claimed)}, and is {truth}")
+            truth = exactly(true) if true is not None else "infinite" if claim == "norm" else "unproved"
+            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {exactly(claimed)}, and is {truth}")
     return wrong
 
 

@@ -73,9 +73,9 @@ class Specification:
 
 NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
 digits = f"{{:{NORM_DIGITS}}}".format
-rate_digits = "{:.4g}".format  # of a pole or a frequency, and of a norm that only compares
-rounding_digits = "{:.0e}".format  # of rounding errors
-claimed_digits = "{:.10g}".format  # of claims that do not hold, which may differ from the truth by little
+rough = "{:.4g}".format  # of a pole or a frequency, and of a norm that only compares
+magnitude = "{:.0e}".format  # of rounding errors
+exactly = "{:.10g}".format  # of claims that do not hold, which may differ from the truth by little
 
 
 ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the enclosing levels from the norm

@@ -19,7 +19,7 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from synth.analysis.specification import rate_digits
+from synth.analysis.specification import rough
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
@@ -90,10 +90,10 @@ class Stability:
                 return f"marginal: a pole at {where} lies on the unit circle, to rounding, and does not decay"
             return f"unstable: a pole at {where}"
         if self.verdict == STABLE:
-            return f"stable, slowest pole {rate_digits(self.worst.real)} 1/s"
+            return f"stable, slowest pole {rough(self.worst.real)} 1/s"
         if self.verdict == MARGINAL:
             at = abs(self.worst.imag)
-            where = f"0+{rate_digits(at)}j" if at > self.rounding else "0"
+            where = f"0+{rough(at)}j" if at > self.rounding else "0"
             return f"marginal: a pole at {where} rad/s, to rounding, which does not decay"
         return f"unstable: a pole at {pole_text(self.worst)}"
 
@@ -162,8 +162,8 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
         turning = f"{abs(pole.imag):+.{digits}g}j, |z| = {size:.{digits}g}" if pole.imag else ""
         return f"z = {pole.real:.{digits}g}{turning}"
     if pole.imag:
-        return f"{rate_digits(pole.real)}{abs(pole.imag):+.4g}j rad/s"
-    return f"{rate_digits(pole.real)} {'1/s' if pole.real else 'rad/s'}"
+        return f"{rough(pole.real)}{abs(pole.imag):+.4g}j rad/s"
+    return f"{rough(pole.real)} {'1/s' if pole.real else 'rad/s'}"
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
@@ -335,8 +335,7 @@ def static_feedback_obstructions(plant: GeneralizedPlant, Cy: Array) -> list[str
         return []
     A, B = plant.differences.A, plant.differences.B
     diagonal, mode = np.diagonal(A), pole_text(where.worst, plant.dt)
-    of_z = f"{rate_digits(np.trace(plant.A))}, and their number is {len(A)}"
-    stays = of_z if plant.dt is not None else f"{rate_digits(diagonal.sum())} 1/s"
+    stays = f"{rough(diagonal.sum())} 1/s" if plant.dt is None else f"{rough(np.trace(plant.A))}, and their number is {len(A)}"
     if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
         return [
             f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: no force acts at once on "

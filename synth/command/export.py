@@ -20,7 +20,7 @@ from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
-from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
+from synth.controller.export.fmu_model import FmuModel, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.controller.report import NORM, STUDY
@@ -168,7 +168,8 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and do
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns a controller as the content of an FMU, with the exported folder as its resources."""
-    check_floating(options.numbers)
+    if options.numbers not in ("double", "float"):
+        raise InputError(f"the variables of an FMU are floating point, and {options.numbers} is not; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
 
@@ -263,15 +264,8 @@ def check_folder(folder: Path, options: Namespace) -> int:
     if options.json:
         print(json.dumps({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran}))
     else:
-        say(
-            [
-                f"controller {name} as C99 in {law.numbers}",
-                f"  {claims if isinstance(claims, str) else 'its claims do not hold'}",
-                f"  {ran}",
-                "",
-                verdict,
-            ]
-        )
+        claimed = claims if isinstance(claims, str) else "its claims do not hold"
+        say([f"controller {name} as C99 in {law.numbers}", f"  {claimed}", f"  {ran}", "", verdict])
     return 1 if failures else 0
 
 

@@ -62,25 +62,19 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         if options.csv:
             write_csv(trade_off, options.csv)
         if options.save:
-            save(
-                options.save,
-                vehicle,
-                [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers],
-            )
+            chosen = [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers]
+            save(options.save, vehicle, chosen)
     stage.end()
-    saved = str(options.save) if options.save else None
+    outputs["saved"] = options.save
     if options.json:
-        result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
-        print(json.dumps(result, allow_nan=False))
+        print(json.dumps({"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs)}, allow_nan=False))
     else:
-        title, document = (
-            titled(vehicle.kind.name, vehicle.source),
-            describe(trade_off, most=MARKED if options.verbose else SHOWN),
-        )
+        title = titled(vehicle.kind.name, vehicle.source)
+        document = replace(describe(trade_off, most=MARKED if options.verbose else SHOWN), title="")
         some = f"not every claim holds: {trade_off.unproved} designs are omitted"
         verdict = some if trade_off.unproved else f"every claim holds for {len(trade_off.points)} designs"
-        end = [*written_lines({**outputs, "saved": options.save}), "", verdict]
-        say([*title, *screen_lines(replace(document, title=""), options.verbose, [*title, *end]), *end])
+        end = [*written_lines(outputs), "", verdict]
+        say([*title, *screen_lines(document, options.verbose, [*title, *end]), *end])
     return 1 if trade_off.unproved else 0
 
 

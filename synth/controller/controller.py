@@ -26,7 +26,6 @@ from synth.plant.generalized import GeneralizedPlant
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
     from synth.analysis.specification import Specification
-    from synth.design.two_step import Design
 
 
 SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
@@ -60,7 +59,7 @@ class Controller(ControlLaw, Checked, Shown):
     law: LinearLaw
     designed: bool
     certificate: Certificate
-    steps: "Design | None" = None
+    steps: Any = None
     redundant: tuple[str, ...] = ()
     degeneracy: str = ""
     fallback_method: str = ""

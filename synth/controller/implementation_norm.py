@@ -20,7 +20,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
 from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_intervals
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.specification import SampledNorm, claimed_digits
+from synth.analysis.specification import SampledNorm, exactly
 from synth.controller.controller import Controller
 from synth.controller.open_loop import heights_read, readings_of_road, sampled
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
@@ -132,7 +132,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
     record = entry.certificate or {}
     if SAMPLED_BOUND not in record:
         return ()
-    claimed = f"the lower bound of the sampled loop is claimed to be {claimed_digits(record[SAMPLED_BOUND])}"
+    claimed = f"the lower bound of the sampled loop is claimed to be {exactly(record[SAMPLED_BOUND])}"
     if vehicle.implementation.sample_period is None:
         return (f"{claimed}, and [implementation] has no sample_period",)
     bound = read_sampled_bound(record, held_problem(vehicle, entry))

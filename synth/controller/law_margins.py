@@ -22,7 +22,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import as_name, by_text
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.specification import rate_digits
+from synth.analysis.specification import rough
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
@@ -55,7 +55,7 @@ class LawMargins:
         """The instability of the law by itself, and its windup, in words; empty for a stable law."""
         if not self.growth:
             return ""
-        return f"unstable by itself (+{rate_digits(self.growth)} 1/s)" + (f", winds up {self.winds_up}" if self.winds_up else "")
+        return f"unstable by itself (+{rough(self.growth)} 1/s)" + (f", winds up {self.winds_up}" if self.winds_up else "")
 
     @property
     def nearest(self) -> float | None:
@@ -105,7 +105,7 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     """Returns a sentence on the laws that are unstable by themselves, and another on small margins of the other laws."""
     grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
-    rates = ", ".join(f"{as_name(name)} (+{rate_digits(one.growth)} 1/s)" for name, one in grow.items())
+    rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
     small = by_text((name, one.pair) for name, one in margins.items() if one.small and name not in grow)
     pairs = "; ".join(f"{names} {pair}" for pair, names in small.items())
     texts = [f"Unstable by itself{''.join(clipped)}: {rates}"] if grow else []

@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rate_digits
+from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rough
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
@@ -125,14 +125,6 @@ def failures_of_sampled_loop(
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
-def remaining_false_claims(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the false claims of a certificate, except instability that sampling cures."""
-    if not wrong or controller.certificate.stable:
-        return wrong
-    excused = instability_cured_by_sampling(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
-    return tuple(each for each in wrong if each not in excused)
-
-
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns a note if only sampling makes the loop stable."""
     return tuple(f"without a computer its loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
@@ -195,7 +187,7 @@ def sign_note(controller: Controller) -> str:
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the second disturbance, road twist, if the vehicle has one."""
-    count, rate = len(road_twist_inputs(vehicle.linear_model)), rate_digits(vehicle.linear_model.twist_rate)
+    count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
     # The weight of a body with a roll or a pitch axis acts by the road's inclination.
     axes = {"roll": "roll_centre_height_front", "pitch": "pitch_centre_height"}
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
@@ -241,7 +233,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """Returns notes on a law that is unstable by itself, its small margins, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
-    notes = [f"this law is unstable by itself (+{rate_digits(margins.growth)} 1/s){winds}"] if margins.growth else []
+    notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
     notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:

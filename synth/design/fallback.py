@@ -23,7 +23,7 @@ from models.common.printed import percent
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import digits, rate_digits
+from synth.analysis.specification import digits, rough
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.two_step import (
     LARGEST_GAIN,
@@ -69,14 +69,12 @@ def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
     """
     entry = float(np.abs(steps.gain).max(initial=0.0))
     if largest_gain < LARGEST_GAIN and entry > largest_gain:
-        return f"they lead to a gain of {rate_digits(entry)}, and {largest_gain:g} is the largest allowed"
+        return f"they lead to a gain of {rough(entry)}, and {largest_gain:g} is the largest allowed"
     gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return (
-        f"they come to {digits(steps.certificate.norm.value)}{far}, as their X feeds back the states of filters, which y has not"
-    )
+    return f"they come to {digits(steps.certificate.norm.value)}{far}, as their X feeds back the states of filters, which y lacks"
 
 
 @numerics()

@@ -425,9 +425,7 @@ def _level(
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError(
-        f"the level of the sampled loop was not found in {ROUNDS} rounds, between {digits(below)} and {digits(above)}"
-    )
+    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:

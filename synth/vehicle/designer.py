@@ -18,7 +18,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import AnyController, Controller, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
-from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
+from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
 from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
 from synth.lmi.central_path import CentralPoint
@@ -287,7 +287,10 @@ class Designer:
 
             wrong += false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
-        return replace(controller, false_claims=remaining_false_claims(self.vehicle, controller, wrong))
+        if wrong and not certificate.stable:  # sampling may cure it
+            cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
+            wrong = tuple(each for each in wrong if each not in cured)
+        return replace(controller, false_claims=wrong)
 
     def _named(
         self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]

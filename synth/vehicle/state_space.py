@@ -182,6 +182,7 @@ def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
 
+    Heights over the datum of a flat road are left out, as no bounded velocity of the road bounds them.
     Sensors are without noise and actuators without lag. The first inputs are the road velocities [m/s]. Where the road's height
     acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
 
@@ -198,7 +199,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
         >>> closed_loop(vehicle, controller).nstates
         4
     """
-    outputs = vehicle.linear_model.outputs
+    outputs = [name for name in vehicle.linear_model.outputs if name not in vehicle.linear_model.heights]
     plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None, sums=())
     return _loop(plain, replace(controller, hardware=NOMINAL), outputs)
 

@@ -74,7 +74,8 @@ class Verification:
     @property
     def names(self) -> list[str]:
         """Names of the members of the family, in words; one empty text without a family."""
-        return [member_text(i, member) for i, member in enumerate(self.goals.family)] or [""]
+        factors = [" and ".join(f"{name} x {by:g}" for name, by in member.items()) for member in self.goals.family]
+        return [f"vehicle {i}, {text or 'unchanged'}" for i, text in enumerate(factors)] or [""]
 
     def promises(self) -> tuple[Specification, ...]:
         """All of them, what is minimised first."""
@@ -222,12 +223,6 @@ class Verification:
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
         values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.signal).unit
         return self.most(f"largest {bound.signal} over {bound.road}", values, bound.at_most, unit, at)
-
-
-def member_text(i: int, member) -> str:
-    """A member of a family in words."""
-    factors = " and ".join(f"{name} x {factor:g}" for name, factor in member.items())
-    return f"vehicle {i}, {factors or 'as it is'}"
 
 
 def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:

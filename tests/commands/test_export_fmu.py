@@ -24,7 +24,6 @@ from synth.controller.export import fmu
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
 from synth.controller.export.fmu_description import BASE
-from synth.controller.export.fmu_model import check_floating
 from synth.controller.export.linear_system import LinearSystem, loop_system, vehicle_system
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
@@ -522,8 +521,8 @@ def test_which_options_go_together(tmp_path):
         main(["--controller", "I", "--part", "vehicle", "--export", file])
     with refused("--numbers is for a controller's code"):
         main(["--part", "vehicle", "--numbers", "float", "--export", file])
-    with refused("an FMU's variables are floating point"):
-        check_floating("int16")
+    with refused("the variables of an FMU are floating point"):
+        main(["--controller", "I", "--numbers", "int16", "--export", file])
     with refused("skyhook"):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])
     assert not list(tmp_path.iterdir())

@@ -203,7 +203,7 @@ def test_unstable_as_built(tmp_path):
     file = vehicle_file(tmp_path, "[implementation]\ndelay = 30\n")  # 150 ms at 5 ms; II bears 87
     read = page(tmp_path, "--vehicle", file, "--controller", "passive", "--controller", "II", step=COARSE)
     assert read.state == "ends"
-    assert "II is stable ideally and UNSTABLE as built" in read.text
+    assert "II is stable ideally and UNSTABLE as implemented" in read.text
     assert {row["controller"] for row in read.tables["frequency-responses"]} == {"passive"}
     assert {row["controller"] for row in read.tables["regime"]} == {"passive"}
 

@@ -138,7 +138,6 @@ def test_designs_are_certified_and_modest(car_designer, name):
     """Every controller is proved, close to its own optimum, far better than passive, and asks no actuator for the impossible."""
     controller, passive = car_designer.design(name), car_designer.design("passive")
     assert controller.certificate.failures == ()
-    assert controller.steps is not None
     assert controller.steps.optimum_gap < 1e-6
     assert controller.certificate.norm.value < 0.45 * passive.certificate.norm.value
     assert np.abs(controller.gain).max() < 2e5  # N/m, N s/m: of the size of the tyre's stiffness
@@ -159,7 +158,6 @@ def test_gains_beyond_any_actuator_are_refused():
     text = half.text.replace("= 2e-4", "= 1e-4")
     controller = Designer(parse_vehicle(text)).design("I")
     assert controller.certificate.failures == ()
-    assert controller.steps is not None
     assert 1e-5 < controller.steps.optimum_gap < 0.05
     assert controller.certificate.speed_up < 100
 

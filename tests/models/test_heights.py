@@ -152,13 +152,16 @@ def test_a_published_design_of_absolute_states():
     assert not wrong.stable
 
 
+INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
+
+
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ("study = true\n", "", "'sprung_displacement' is a height over the datum of a flat road, .* give study = true"),
+    ("study = true\n", "", "'sprung_displacement' is a height above a flat datum, .* give study = true"),
     ('"sprung_displacement", "sprung_velocity", "unsprung', '"tyre_deflection", "sprung_velocity", "suspension_deflection"]#',
      "study = true, and measures no height"),
     ("gain = ", 'order = "full"\n#', "only a law that is given measures heights"),
     ("study = true", "study = 1", "study = 1 is not allowed; give true or false"),
-    ("suspension_deflection = 0.1", "suspension_deflection = { numerator = [1.0], denominator = [1.0, 0.0] }", "leave no integral"),
+    ("suspension_deflection = 0.1", f"suspension_deflection = {INTEGRAL}", "leave no integral"),
 ])  # fmt: skip
 def test_refused(old, new, said):
     """Heights need the key, the key needs heights, and neither designs nor integrals go with them: one line each."""

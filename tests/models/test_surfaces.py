@@ -7,6 +7,7 @@ import pytest
 
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
+from models.suspension.motion_ratio import RatioTable
 from models.suspension.surface import surface_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.sampled_response import taylor4
@@ -110,6 +111,17 @@ def test_a_ratio_of_travel_acts_on_velocity_and_force():
     assert apart(vehicle, reference, time) < 1e-6
     physics = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time).run(0)
     assert apart(vehicle, reference, time, physics) < 2e-5  # RK4's own error at the kinks
+
+
+def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
+    """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
+    ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
+    surface, rng = ratio.damper(tabled().fitted[0].curve, 1.0), np.random.default_rng(0)
+    v, d = rng.uniform(-1, 1, 500), rng.uniform(-0.06, 0.06, 500)
+    turn = np.where(d < 0, -1.0, -0.5)
+    r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
+    force = r * [bilinear(*pair) for pair in zip(r * v, own, strict=True)]
+    assert np.abs(surface.along(v, d) - force).max() < 1e-4 * np.abs(force).max()
 
 
 def test_two_percent_of_any_number_shows():

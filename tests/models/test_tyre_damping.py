@@ -205,7 +205,7 @@ def test_a_sampled_design_refuses_a_reading_of_the_road():
         "quarter_car",
         '[implementation]\nsample_period = 0.005\n[controllers.felt]\nmeasured = ["unsprung_acceleration"]\nsampled = true',
     )
-    with pytest.raises(InputError, match="'unsprung_acceleration' jumps with the road's velocity"):
+    with pytest.raises(InputError, match="'unsprung_acceleration' contains the road's velocity"):
         Designer(vehicle).design("felt")
 
 

@@ -31,6 +31,7 @@ from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers
 from sim.studies.validity.edges import travel_texts
 from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_end import regime_ends
 from sim.studies.validity.regime_map import WITHIN, validity
 from sim.studies.validity.report import envelope_figure
 from synth.vehicle.designer import Designer
@@ -204,6 +205,21 @@ def test_edges_are_those_of_a_dense_map(name, controller, speeds, limited, monke
         assert ended[first:].all()
         assert end.found == pytest.approx((heights[first - 1] + heights[first]) / 2, rel=0.01)
         assert dense.driven[first].end in end.near
+
+
+def test_a_loop_that_a_soft_spring_makes_unstable():
+    """A spring that softens leaves its line at the predicted height, also where its loop is unstable over the bump at hand."""
+    spring = (
+        "[curves]\nsuspension_stiffness = { deflection = [-0.15, -0.02, 0, 0.02, 0.15], force = [-1800, -360, 0, 360, 1800] }"
+    )
+    limits = "[limits]\nsuspension_stroke = 0.15\nstop_stiffness = 1e5\n"
+    text = read_vehicle("quarter_car").text.replace("suspension_stiffness", "#", 1)
+    vehicle = parse_vehicle(f"{text}\n{spring}\n{limits}")
+    state = Designer(vehicle).design("state")
+    (end,) = regime_ends(vehicle, [state], Bump(height=0.12), TIME)
+    assert end is not None
+    assert end.confirmed
+    assert end.predicted == pytest.approx(0.0478, rel=0.01)  # in proportion to 0.12 m it would be at 0.012 m
 
 
 def test_holes_break_as_predicted(limited, designer):

@@ -227,10 +227,8 @@ def test_held_over_several_steps(paper, monkeypatch, controller, h, steps, delay
     variance = dict(zip(vehicle.linear_model.outputs, by_step.T * intensity, strict=True))
     weighted = weighted * intensity
     load = variance["tyre_deflection"] / vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"] ** 2
-    direct = {
-        f"{name}_rms": np.sqrt(variance[name].mean())
-        for name in ("sprung_acceleration", "suspension_deflection", "control_force")
-    }
+    signals = "sprung_acceleration", "suspension_deflection", "control_force"
+    direct = {f"{name}_rms": np.sqrt(variance[name].mean()) for name in signals}
     direct |= {
         "sprung_acceleration_weighted": np.sqrt(weighted.mean()),
         "sprung_acceleration_vdv": (10.0 * 3 * np.mean(weighted**2)) ** 0.25,
@@ -253,10 +251,8 @@ def sums_over_lines(vehicle, loop, road):
         omega = 2 * np.pi * road.speed * n
         amplitudes = sampled_frequency_response(vehicle, loop, omega, 1e-3) @ sources(vehicle, road.spectrum, omega)
         # Accelerations are halfway between those before and after a force is replaced, once a step here.
-        outputs, forces = (
-            vehicle.linear_model.outputs,
-            [vehicle.linear_model.outputs.index(u) for u in vehicle.linear_model.inputs],
-        )
+        outputs = vehicle.linear_model.outputs
+        forces = [outputs.index(u) for u in vehicle.linear_model.inputs]
         leaps = vehicle.linear_model.D @ amplitudes[:, forces] * (1 - np.exp(-1j * omega * 1e-3))[:, None, None]
         accelerations = [i for i, name in enumerate(outputs) if "acceleration" in name]
         amplitudes[:, accelerations] -= leaps[:, accelerations] / 2

@@ -174,7 +174,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "no linear loop",
     "no sample period: give [implementation] sample_period",
     "an export contains only feedback of measured signals",
-    "is a law in Python, which is code already",
+    "is a law in Python and code already",
     "states of filters in [performance] never are",
     "no sensor measures the states of filters in [performance]",
     "is not an integer, and code sets forces at samples",
@@ -185,7 +185,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "cannot be stabilised from what is measured",
     "semi-active dampers and force actuators cannot be exported together",
     "has noise without sample_period",
-    "that has no frequency response",
+    "makes a loop that has no frequency response",
     "has an entry beyond 1e+15",
     "has an entry that is not finite",
 )

@@ -14,7 +14,7 @@ PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 class PageRead:
-    """A page: its text, the sentences and state of its answer, its captions, and its tables as rows.
+    """A page: its text, the sentences and state of its answer, and its tables as rows.
 
     Args:
         path: the page.
@@ -24,11 +24,8 @@ class PageRead:
     def __init__(self, path: Path, result: dict[str, Any]) -> None:
         own = re.sub(r"<(script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
         (self.state,) = re.findall(r'<p class="verdict (\w+)">', own)
-        self.headline = _text(re.findall(r"<h2>(.*?)</h2>", own, re.S)[0])
-        self.warnings = [_text(sentence) for sentence in re.findall(r'<p class="warn">(.*?)</p>', own, re.S)]
         self.answer: list[str] = [sentence.replace("`", "") for sentence in result["answer"]]
-        self.captions = [_text(caption) for caption in re.findall(r"<figcaption>(.*?)</figcaption>", own, re.S)]
-        self.text = _text(own)
+        self.text = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"</?(bdi|code)>", "", own))).split())
         self.tables: dict[str, list[dict[str, str]]] = result["tables"]
 
     def row(self, table: str, **cells: str) -> dict[str, str]:
@@ -48,7 +45,3 @@ def number(text: str) -> float:
     """Returns a number as a page writes it: 1.4·10⁻³, 10⁻³, or −3."""
     plain = re.sub(r"(?<![\d·])10(?=[⁻⁰¹²³⁴⁵⁶⁷⁸⁹])", "1·10", text)
     return float(re.sub("·10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda power: f"e{power[1].translate(PLAIN)}", plain).replace("−", "-"))
-
-
-def _text(piece: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"</?(bdi|code)>", "", piece))).split())

@@ -210,7 +210,7 @@ def test_a_report_of_it(held, tmp_path, capsys):
     quick = ["--vehicle", str(held), "--controller", "I", "--quick", "--timestep", "2.5e-3"]
     assert report([*quick, "--out", str(tmp_path / "r.html"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert any("`I` is stable as built and UNSTABLE as the ideal loop" in text for text in said["answer"])
+    assert any("`I` is stable as implemented and UNSTABLE ideally" in text for text in said["answer"])
     tables = said["tables"]
     assert tables["designs"][0]["certificate"].startswith(WITHOUT)
     assert tables["norms"][0]["norm, ideal loop"] == "UNSTABLE"

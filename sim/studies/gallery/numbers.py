@@ -85,8 +85,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
-    mass = np.diag([1.0] * len(model.A) + [0.0])
-    zeros = linalg.eigvals(pencil, mass)
+    zeros = linalg.eigvals(pencil, np.diag([1.0] * len(model.A) + [0.0]))
     zeros = zeros[np.isfinite(zeros)]
     above, off = np.imag(zeros), np.abs(np.real(zeros))
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
@@ -138,7 +137,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
     begins = float(one.road.get("start", 0.0))
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
-        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; move it to `missing`")
+        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; move this number to `missing`")
     return last
 
 
@@ -149,7 +148,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
         metrics = _steps(driven(designer, one), one.band)[one.signal].continuous
         value = None if metrics is None else getattr(metrics, key)
         if value is None:
-            raise InputError(f"{one.text}: it is {metrics and metrics.settled}; move it to `missing`")
+            raise InputError(f"{one.text}: the signal is {metrics and metrics.settled}; move this number to `missing`")
         return value
 
     return found
@@ -189,8 +188,7 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
         return None
     run = driven(designer, one)
     if one.what in OF_A_STEP:
-        physics = _steps(run, one.band)[one.signal].mujoco
-        return None if physics is None else getattr(physics, one.what)
+        return getattr(_steps(run, one.band)[one.signal].mujoco, one.what, None)
     return float(run.physics.rms(one.signal) if one.what == "rms" else np.abs(run.physics[one.signal]).max())
 
 
@@ -199,8 +197,9 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
 
     A time from which a signal stays within a band is the first sample of the grid within it.
     """
-    if one.what not in OF_A_GRID or not one.timestep / 10 <= one.grid <= one.duration:
-        raise InputError(f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; omit it")
+    least = one.timestep / 10
+    if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
+        raise InputError(f"grid = {one.grid:g} s of {one.what} is not allowed; give {least:g} s to the duration, or omit it")
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)
     if one.what in ("peak", "rms"):

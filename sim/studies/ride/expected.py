@@ -208,10 +208,8 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     poles, rounding = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
-    damped, loads = (
-        vehicle.kind.damped_tyres(vehicle.parameters),
-        {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)},
-    )
+    damped = vehicle.kind.damped_tyres(vehicle.parameters)
+    loads = {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)}
     ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
     pushing = [(name, *travel) for name, *travel in where.actuators if travel]
     pushed = [[index[signal] for signal in pair] for pair in pushing]

@@ -192,7 +192,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     if first >= len(time[:end]) - 1:
-        raise InputError(f"first = {first} leaves no two of the run's {len(time[:end])} samples; give a smaller one")
+        raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller one")
     expected: Expected | None = None
     transient: Settled | None = None
     controller = run.controller
@@ -259,8 +259,9 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         )
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:
-        rests = ", ".join(f"{name} {MUJOCO.digits(value)} deg" for name, value in metrics.static.items())
-        said.append(f"Under the final loads the linear loop rests at {rests}. Pitch is positive nose down, roll right side down.")
+        rests = ", ".join(f"{name} {MUJOCO.digits(ANGLE.value(value))} deg" for name, value in metrics.static.items())
+        said.append(f"Under the final loads, the linear loop settles at {rests}.")
+        said.append("Pitch is positive nose down, and roll right side down.")
         said += [f"{lacking[0].upper()}{lacking[1:]}." for lacking in [left_out(vehicle.parameters, metrics.static)] if lacking]
     if vehicle.stops or vehicle.limits.actuator_force is not None:
         said.append("Sampled and expected values are for a vehicle without bump stops and force limits.")
@@ -294,10 +295,10 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     ]
     names, tables = max(angles, key=len, default={}), []
     if names:
-        columns: list[Field[tuple[Run, Mapping[str, float]]]] = [Field("angles [deg]", lambda row: row[0].controller.name)]
-        for name in names:
-            label = name.replace("_angle", "").replace("_", " ")
-            columns.append(ANGLE.of(lambda row, name=name: row[1].get(name), label))
+        columns: tuple[Field[tuple[Run, Mapping[str, float]]], ...] = (
+            Field("angles [deg]", lambda row: row[0].controller.name),
+            *(ANGLE.of(lambda row, name=name: row[1].get(name), name.replace("_angle", "").replace("_", " ")) for name in names),
+        )
         tables = [Table.of("angles", "Largest angles of the body.", columns, zip(runs, angles, strict=False))]
     rides = [
         [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]

@@ -109,10 +109,8 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Standing:
     """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
-    return Standing(
-        controller,
-        {key: max((one for one in some if one is not None), default=None) for key, some in values.items()},
-    )
+    largest = {key: max((one for one in some if one is not None), default=None) for key, some in values.items()}
+    return Standing(controller, largest)
 
 
 LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means

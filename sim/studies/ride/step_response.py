@@ -99,7 +99,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     if not low <= percent <= high:
         raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
     if given and step_of(road) is None:
-        raise InputError("--band is that of a step's response; drive over --road step, without loads, or omit it")
+        raise InputError("--band applies to the response to a step only; drive over --road step, without loads, or omit it")
 
 
 def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:

@@ -50,14 +50,12 @@ class FragilityFound:
         gain: the loop with factors on its measurements and requested forces.
         predicted: tolerance that is predicted for that loop.
         edge: size of the worst errors at which it becomes unstable, predicted and found.
-        timestep: timestep of the physics [s].
         vehicle, controller: the loop.
     """
 
     gain: ScaledGain
     predicted: Fragility
     edge: FragilityEdge
-    timestep: float
     vehicle: Vehicle
     controller: Controller
 
@@ -88,14 +86,12 @@ def find_fragility(
         return Trial(vehicle, with_errors(controller, predicted, amount))
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
-    coarse, fine = (
-        StabilityEdge(step_derivative(vehicle, step), trial, expected, MOST)
-        for step, expected in ((timestep, at), (timestep / 2, at_half))
-    )
+    coarse = StabilityEdge(step_derivative(vehicle, timestep), trial, at, MOST)
+    fine = StabilityEdge(step_derivative(vehicle, timestep / 2), trial, at_half, MOST)
     edge = FragilityEdge(_inside(predicted.stable.smallest_violation), (at, at_half), coarse, fine)
     search_and_run([coarse], progress)
     search_and_run([fine] if edge.doubtful else [], progress)
-    return FragilityFound(gain, predicted, edge, timestep, vehicle, controller)
+    return FragilityFound(gain, predicted, edge, vehicle, controller)
 
 
 def with_errors(controller: Controller, predicted: Fragility, amount: float) -> Controller:

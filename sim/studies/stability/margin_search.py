@@ -203,17 +203,15 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     predicted = margins(loop_transfer(vehicle, controller, actuators))
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
+    loop = cut_out, rest if rest.law.acts else None
     steps = step_derivative(vehicle, timestep), step_derivative(vehicle, timestep / 2)
 
-    def with_computer(how: Implementation, whole: bool = False) -> Trial:
-        on = replace(vehicle, implementation=how)
-        return Trial(on, controller) if whole else Trial(on, cut_out, rest if rest.law.acts else None)
-
     def delayed(amount: float) -> Trial:
-        return with_computer(Implementation(delay=round(amount / timestep)))
+        return Trial(replace(vehicle, implementation=Implementation(delay=round(amount / timestep))), *loop)
 
     def sampled_at(period: float) -> Trial:
-        return with_computer(Implementation(sample_period=period), predicted.all_sampled)
+        on = replace(vehicle, implementation=Implementation(sample_period=period))
+        return Trial(on, controller) if predicted.all_sampled else Trial(on, *loop)
 
     prompt = replace(vehicle, implementation=Implementation())
     loops = [LoopModel(prompt, controller, step.timestep, taylor4) for step in steps]

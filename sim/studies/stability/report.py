@@ -165,7 +165,7 @@ def _errors_document(found: StabilityMargins) -> Document:
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
     """Returns the margins of several controllers of a vehicle as a document with figures."""
-    vehicle, timestep = found[0].vehicle, found[0].fragile.timestep
+    vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
     texts = [
         "Each margin is that of all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
         f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm it: one decays, and one grows.",
@@ -217,7 +217,7 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
     if slopes := lines_at_rest(vehicle.fitted):
         texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
     if bent_at_rest(vehicle):
-        texts.append("So they are in MuJoCo, as a curve with a kink at equilibrium has no derivative there.")
+        texts.append("MuJoCo uses this linearisation, too, as a curve with a kink at equilibrium has no derivative there.")
     return texts
 
 

@@ -68,11 +68,8 @@ def stability_margins(
     ideal, parts = replace(built, implementation=Implementation()), loops_of(vehicle)
     parts = parts if each_loop else {"": parts[""]}
     loops = [{name: searches(ideal, one, cut, timestep) for name, cut in parts.items()} for one in controllers]
-    implemented: list[dict[str, LoopMargins]] = [{} for _ in controllers]
-    if not vehicle.implementation.undelayed:
-        implemented = [
-            {name: implemented_searches(built, one, cut, timestep) for name, cut in parts.items()} for one in controllers
-        ]
+    late = {} if vehicle.implementation.undelayed else parts
+    implemented = [{name: implemented_searches(built, one, cut, timestep) for name, cut in late.items()} for one in controllers]
     find_all([margins for each in (*loops, *implemented) for margins in each.values()], progress)
     progress("fragility")
     fragile = [find_fragility(ideal, one, timestep, progress) for one in controllers]

@@ -54,12 +54,12 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         if not smallest <= low < high <= largest:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if count < 2:
-            raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more, or one value with --{name}")
+            raise InputError(f"--vary {text}: {count} points are too few; give 2 or more, or one value with --{name}")
         if count > MOST_CELLS // 2:  # another axis has 2 or more
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
-        raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {listing(UNITS)}")
+        raise InputError(f"--vary {axes[0].name} is given twice; vary two different ones of {listing(UNITS)}")
     count = math.prod(len(axis.values) for axis in axes)
     if count > MOST_CELLS:
         raise InputError(f"{count} cells are too many; a map has at most {MOST_CELLS}: give fewer points")

@@ -28,6 +28,7 @@ WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enc
 NEAR = 1.03  # factor within which another end may come first: a body that rotates moves an end by so much
 FURTHEST = 4.0  # factor on the predicted height, more than any vehicle should need
 ROUNDS = 8  # of runs, for an end that is not where it is predicted
+ANALYSES = 20  # of bumps, to find the height at which a vehicle with curves reaches an end
 OVER, CUTS = 0.8, 30  # share of the largest one from which on the rest of a run is left out, looked for at so many times
 
 
@@ -74,15 +75,15 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
         time: equidistant sample times from 0 [s].
     """
     ends = enclosed(vehicle, controllers, [bump] * len(controllers), time)
-    below = {i: replace(bump, height=end.stays) for i, end in enumerate(ends) if end is not None and end.stays > 0}
-    inputs = [RoadInput(vehicle, road, time) for road in below.values()]
-    physics = simulate([controllers[i] for i in below], inputs) if below else None
-    for k, (i, road) in enumerate(below.items()):
-        end, analysis = ends[i], analysed(vehicle, controllers[i], [road], time).run(0)
-        if end is not None and physics is not None:
-            run = physics.response.run(k)
-            until = first_loose(inputs[k], run)
-            ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
+    below = [(i, end) for i, end in enumerate(ends) if end is not None and end.stays > 0]
+    inputs = [RoadInput(vehicle, replace(bump, height=end.stays), time) for _, end in below]
+    if not below:
+        return ends
+    runs = simulate([controllers[i] for i, _ in below], inputs).response
+    for k, (i, end) in enumerate(below):
+        run, analysis = runs.run(k), analysed(vehicle, controllers[i], [inputs[k].road], time).run(0)
+        until = first_loose(inputs[k], run)
+        ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
     return ends
 
 
@@ -109,8 +110,7 @@ def enclosed(
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (controller, bump) in enumerate(zip(controllers, bumps, strict=True)):
-        response = analysed(vehicle, controller, [loaded(bump, loads)], time).run(0)
-        used = shares(vehicle, controller, response) / abs(bump.height)
+        response, used = _predicted(vehicle, controller, bump, loads, time)
         if used.max() * LIMITS["height"][1] >= FURTHEST:
             near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * NEAR >= used.max())
             ends[i] = RegimeEnd(float(1 / used.max()), END_NAMES[int(used.argmax())], near, 0.0, math.inf, "")
@@ -129,6 +129,34 @@ def enclosed(
             ends[i] = replace(ends[i], stays=whole[-1][0] if whole else 0.0, leaves=high, end=end)
             guess[i] = _next([(0.0, 0.0), *whole], high, within) if whole else high / NEAR ** len(tried[i])
     return [ends.get(i) for i in range(len(bumps))]
+
+
+def _predicted(
+    vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...], time: Array
+) -> tuple[Response, Array]:
+    """Returns a response of the analysis, and the share of the way to each end per metre of height, shape (E,).
+
+    Curves make the analysis nonlinear, and a loop may lose its stability beyond some height. So with curves the lowest height is
+    looked for at which the analysis reaches an end.
+    """
+    height, low, high, at_end = abs(bump.height), 0.0, math.inf, None
+    for _ in range(ANALYSES):
+        road = loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
+        response = analysed(vehicle, controller, [road], time).run(0)
+        used = shares(vehicle, controller, response)
+        share = float(used.max())
+        if not (vehicle.is_curved and 0 < share < math.inf) or 1 / WITHIN < share < WITHIN:
+            return response, used / height
+        if share > 1:
+            high, at_end = height, (response, used / (share * height))
+        else:
+            low = height
+        if high < low * WITHIN**2 or low >= LIMITS["height"][1]:
+            break
+        nearer, between = height / share, math.sqrt(low * high)
+        height = nearer if not 0 < between < math.inf or (abs(share - 1) < 0.5 and low < nearer < high) else between
+        height = min(height, LIMITS["height"][1])
+    return at_end or (response, used / height)
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:

@@ -17,7 +17,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.laws.anti_windup import anti_windup_gain
-from models.laws.linear import LinearLaw
 from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import Vehicle
@@ -149,9 +148,7 @@ def exported_law(
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
-        raise InputError(
-            f"controller {driver.name!r} is {driver.kind}, which is code already; export a linear or semi-active one"
-        )
+        raise InputError(f"controller {driver.name!r} is {driver.kind} and code already; export a linear or semi-active one")
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
@@ -174,38 +171,32 @@ def exported_law(
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.adjustable) if vehicle.dampers else model.inputs
     limits, sources_of = _ranges(vehicle, driver, ranges or {}, sources or {}) if numbers in BITS else (None, ())
-    run, L, semi_active = LinearLaw(np.zeros((0, 0)), np.zeros((0, q)), np.zeros((m, 0)), np.zeros((m, q))), None, {}
-    if isinstance(driver, Controller):
-        run = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
-        L = anti_windup_gain(run) if run.anti_windup is not None and k else None
-    else:
+    common: dict[str, Any] = {
+        "name": name,
+        "controller": driver.name,
+        "numbers": numbers,
+        "period": how.sample_period,
+        "inputs": (*driver.measured, *(one.name if one.name not in driver.measured else f"{one.name}_now" for one in velocities)),
+        "units": tuple(one.unit for one in read),
+        "meanings": tuple(one.meaning for one in read),
+        "outputs": outputs,
+        "output_units": tuple(["N s/m" if vehicle.dampers else "N"] * m),
+        "resolution": np.array([how.quantisation.get(one, 0.0) for one in driver.measured]),
+        "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
+        "delay": int(how.delay),
+        "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
+        "ranges": limits,
+        "range_sources": sources_of,
+    }
+    if isinstance(driver, SemiActive):
+        none = {"A": np.zeros((0, 0)), "B": np.zeros((0, q)), "C": np.zeros((m, 0)), "D": np.zeros((m, q)), "anti_windup": None}
         of = numbers_of([driver.law], [vehicle])
-        semi_active = {"semi_active": driver.law.name, "coefficients": of, "modes": len(driver.law.modes)}
-    law = ExportedLaw(
-        name=name,
-        controller=driver.name,
-        numbers=numbers,
-        period=how.sample_period,
-        inputs=(*driver.measured, *(one.name if one.name not in driver.measured else f"{one.name}_now" for one in velocities)),
-        units=tuple(one.unit for one in read),
-        meanings=tuple(one.meaning for one in read),
-        outputs=outputs,
-        output_units=tuple(["N s/m" if vehicle.dampers else "N"] * m),
-        A=run.A,
-        B=run.B,
-        C=run.C,
-        D=run.D,
-        resolution=np.array([how.quantisation.get(one, 0.0) for one in driver.measured]),
-        limit=None if vehicle.dampers else vehicle.limits.actuator_force,
-        delay=int(how.delay),
-        anti_windup=L,
-        dampers=tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
-        ranges=limits,
-        range_sources=sources_of,
-        **semi_active,
-    )
-    law.fixed  # noqa: B018 - a law without fixed point is refused here
-    return law
+        return ExportedLaw(**common, **none, semi_active=driver.law.name, coefficients=of, modes=len(driver.law.modes))
+    law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
+    L = anti_windup_gain(law) if law.anti_windup is not None and k else None
+    made = ExportedLaw(**common, A=law.A, B=law.B, C=law.C, D=law.D, anti_windup=L)
+    made.fixed  # noqa: B018 - what has no fixed point is said here
+    return made
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:

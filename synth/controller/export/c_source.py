@@ -1,6 +1,6 @@
 """C99 of an exported law: no heap, no library, a fixed order of summation, every name with the law's prefix.
 
-In fixed point there are integers alone: sums are in 64 bits, and every result is clipped in place of an overflow.
+In fixed point there are integers alone: sums are in 64 bits, and every result is clipped instead of overflowing.
 """
 
 from collections.abc import Iterable, Sequence

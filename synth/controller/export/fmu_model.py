@@ -7,10 +7,9 @@ from functools import partial
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.kinds.signals import CONTROL_FORCE, DAMPING, Signal
 from models.vehicle.vehicle import Vehicle
-from synth.controller.export.c_law import STILL, ExportedLaw
+from synth.controller.export.c_law import ExportedLaw
 from synth.controller.export.c_source import CSource, literal
 from synth.controller.export.linear_system import LinearSystem
 
@@ -44,16 +43,6 @@ class FmuModel:
     start: Array
     slopes: Array | None
     sources: Mapping[str, str]
-
-
-def check_floating(numbers: str) -> None:
-    """Refuses numbers that are not floating point, as an FMU's variables are.
-
-    Raises:
-        InputError: the numbers of the code are integers.
-    """
-    if numbers not in STILL:
-        raise InputError(f"an FMU's variables are floating point, and {numbers} is not; give --numbers double or float")
 
 
 def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:

@@ -84,19 +84,17 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
     rows = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit, meaning in about)
-    meaning = "coefficient of the damper" if law.dampers else "force, positive where it pushes body and wheel apart"
+    meaning = "coefficient of the damper" if law.dampers else "force, positive if it pushes body and wheel apart"
     outs = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit in zip(law.outputs, source.out_units, strict=True))
     period = (
         f"every {1e3 * law.period:g} ms" if law.period is not None else "at any period that is short against the vehicle's motion"
     )
     steps = [f"{tick}{name}{tick} in steps of {how.quantisation[name]:g}" for name in law.inputs if how.quantisation.get(name)]
     does = [
-        f"It rounds its readings: {', '.join(steps)}." if steps else "",
+        f"It rounds its measurements: {', '.join(steps)}." if steps else "",
         f"It limits every force to ±{law.limit:g} N." if law.limit is not None else "",
-        f"What it computes goes out {law.delay} sample(s) later." if law.delay else "",
-        "Its states follow the forces that are given where these are limited (anti-windup)."
-        if law.anti_windup is not None
-        else "",
+        f"Its outputs are delayed by {law.delay} sample(s)." if law.delay else "",
+        "When forces are limited, its states follow the limited forces (anti-windup)." if law.anti_windup is not None else "",
         f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
     ]
     studied = "".join(f"\n{text[0].upper()}{text[1:]}.\n" for text in study_notes(vehicle, driver))
@@ -129,14 +127,14 @@ All readings are measured from static equilibrium, upwards positive. {" ".join(f
 
 - Numbers are `{law.numbers}`. Sums go from the first column to the last. There is no heap, no recursion and no library.
 {_whole_numbers(law)}{_faults(law)}- Compile with `{FLAGS}`.
-- A compiler that fuses multiplication and addition of floating-point numbers rounds otherwise, and gives other last bits.
-- `test/main.c` holds the code against `test/vectors.csv` back to back: every output must have the bits of the file.
+- A compiler that fuses multiplication and addition of floating-point numbers rounds differently, so that the last bits differ.
+- `test/main.c` compares the code with `test/vectors.csv` back to back: every output must have the bits of the file.
 
 ```sh
 cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 ```
 
-- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder says if anything was changed.
+- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows if a file was changed.
 """
 
 
@@ -170,7 +168,7 @@ def _faults(law: ExportedLaw) -> str:
 
 def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     if not isinstance(driver, Controller):
-        return "No linear claim is made of a semi-active law. `python -m sim.drive` says what it does on a road."
+        return "A semi-active law has no certificate. `python -m sim.drive` simulates it on a road."
     entry = vehicle.controllers.get(driver.name)
     scalars = {name: value for name, value in (entry.certificate or {}).items() if isinstance(value, float)} if entry else {}
     words = "".join(f"- `{name}` = {value:.9g}\n" for name, value in scalars.items())

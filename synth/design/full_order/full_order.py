@@ -22,7 +22,7 @@ from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import digits, rate_digits
+from synth.analysis.specification import digits, rough
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
@@ -264,8 +264,8 @@ def full_order_design(
         if trade:
             raise DesignError(
                 "no law was found that keeps all poles of its loop within fastest_pole = "
-                f"{rate_digits(fastest * search.fastest)} rad/s; the slowest loop has a pole of "
-                f"{rate_digits(trade[0].pole)} rad/s: give at least that"
+                f"{rough(fastest * search.fastest)} rad/s; the slowest loop has a pole of {rough(trade[0].pole)} rad/s: "
+                "give at least that"
             )
         raise DesignError(
             "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
@@ -301,9 +301,9 @@ def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[Lin
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "at no price" if share <= WITHIN else f"its norm is {percent(share)} higher"
-    slowest = f", its slowest pole {rate_digits(_slowest(as_run(own.law)))} 1/s" if own.law.states else ", without states"
-    unstable = f"{digits(norms[1])} of an unstable law (+{rate_digits(as_run(other.law).growth)} 1/s)"
-    return f"stable by itself{slowest}; against {unstable} {price}"
+    slowest = f", its slowest pole {rough(_slowest(as_run(own.law)))} 1/s" if own.law.states else ", without states"
+    growth = rough(as_run(other.law).growth)
+    return f"stable by itself{slowest}; against {digits(norms[1])} of an unstable law (+{growth} 1/s) {price}"
 
 
 def _slowest(law: LinearLaw) -> float:
@@ -321,10 +321,8 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
     if best.norm <= least:
         return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
-    return (
-        f"{above}: the nearest that was found, of norm {rate_digits(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s, and "
-        f"this one's fastest is {best.pole:.3g} rad/s"
-    )
+    other = f"the nearest that was found, norm {rough(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s"
+    return f"{above}: {other}, and this one's fastest is {best.pole:.3g} rad/s"
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
@@ -332,14 +330,10 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]
-    instead = (
-        f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rate_digits(slower[-1].norm)}"
-        if slower
-        else ""
-    )
+    more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rough(slower[-1].norm)}" if slower else ""
     return (
         f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
-        f"{1 / best.pole:.1g} s or more cannot run it{instead}"
+        f"{1 / best.pole:.1g} s or more cannot run it{more}"
     )
 
 

@@ -21,6 +21,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem, norm_in_continuous_time, sampled_loop
 from synth.controller.open_loop import sampled
+from synth.controller.report import has_sampled_norm
 from synth.design.sampled_data import held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
@@ -139,7 +140,12 @@ def cost(
         periods: ascending [s].
         designs: periods for which a controller designed in two steps is designed again.
         done: callback that receives the number of finished periods.
+
+    Raises:
+        DesignError: a law for study has no norm at any rate.
     """
+    if not has_sampled_norm(vehicle, controller):
+        raise DesignError("its loop has no finite norm at any rate, as a lasting height of the road shows in z")
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
     near, rates = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
     for i, period in enumerate(periods):
