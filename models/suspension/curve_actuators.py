@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from models.common.errors import InputError
+from models.suspension import SURFACE
 from models.suspension.adjustable_dampers import Adjustable
 from models.suspension.curve import Pieces
 from models.suspension.fitted_curves import SuspensionCurve
@@ -23,7 +24,6 @@ from models.suspension.fitted_curves import SuspensionCurve
 # MuJoCo's bindings carry no type stubs.
 
 
-SURFACE = "surface_"  # begins the name of a surface's motor, after the prefix and before the tendon
 UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
 SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.suspension.curve_actuators import SURFACE
+from models.suspension import SURFACE
 from models.vehicle.mjcf import FITTED
 from models.vehicle.vehicle import Vehicle
 from sim.response.recursion import SHARES, WEIGHTS

@@ -325,3 +325,23 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
         with pytest.raises(InputError, match=words) as refused:
             parse_vehicle(wrong)
         assert "\n" not in str(refused.value)
+
+
+def test_published_ride_frequencies():
+    """A Formula Student car's spring by its linkage ratio (3.2 Hz at 386.4 in/s2), and a spring of 50 N/mm at 0.75: 1.43 Hz."""
+    pound, per_inch = 0.45359237, 0.45359237 * 386.4  # kg; N/m per lb/in, with its gravity
+    wheel = 4 * np.pi**2 * 3.2**2 * 143.0 / 386.4  # lb/in, in series with the tyre of 857 lb/in
+    wheel *= 857.0 / (857.0 - wheel)
+    vehicle = read_vehicle("quarter_car").with_parameters(
+        sprung_mass=143.0 * pound,
+        unsprung_mass=13.09 * pound,
+        suspension_stiffness=wheel / 0.72**2 * per_inch,
+        suspension_damping=0.0,
+        tyre_stiffness=857.0 * per_inch,
+        motion_ratio=0.72,
+    )
+    assert vehicle.parameters["suspension_stiffness"] / per_inch == pytest.approx(349.635, abs=1e-3)  # "ideal front spring"
+    assert min(abs(np.linalg.eigvals(vehicle.linear_model.A))) / (2 * np.pi) == pytest.approx(3.2, rel=2e-3)  # massless wheels
+    other = vehicle.with_parameters(sprung_mass=350.0, suspension_stiffness=50e3, motion_ratio=0.75)
+    rate = other.kind.at_wheels(other.parameters)["suspension_stiffness"]
+    assert (rate, round(np.sqrt(rate / 350.0) / (2 * np.pi), 2)) == (28125.0, 1.43)

@@ -116,7 +116,7 @@ def test_a_ratio_of_travel_acts_on_velocity_and_force():
 def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
     ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
-    surface, rng = ratio.damper(tabled().fitted[0].curve), np.random.default_rng(0)
+    surface, rng = ratio.damper(tabled().fitted[0].curve, 1.0), np.random.default_rng(0)
     v, d = rng.uniform(-1, 1, 500), rng.uniform(-0.06, 0.06, 500)
     turn = np.where(d < 0, -1.0, -0.5)
     r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
