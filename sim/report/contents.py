@@ -258,10 +258,22 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     return Document("Provenance and settings", tables)
 
 
+FORMER = {  # headings of tables by which JSON has them, as its keys do not change
+    "order of convergence": "order of the two",
+    "share of norm": "of that norm",
+    "largest norm": "worst norm",
+    "MuJoCo at the corners": "corners: MuJoCo and analysis say the",
+    "no limit reached": "nothing breaks",
+}
+
+
 def report_object(report: Report) -> dict[str, Any]:
     """Answer, tables and standings as in JSON."""
     page = report.page
-    tables = {one.name: [dict(zip(one.headings, row, strict=True)) for row in one.rows] for one in page.whole.tables}
+    tables = {
+        one.name: [{FORMER.get(name, name): cell for name, cell in zip(one.headings, row, strict=True)} for row in one.rows]
+        for one in page.whole.tables
+    }
     whole = {
         "title": page.title,
         "headline": page.headline,

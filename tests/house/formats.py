@@ -24,14 +24,13 @@ MOST = {  # formats in a folder: lower these, never raise them
     "synth/controller": 3,
     "synth/design": 12,
     "synth/vehicle": 3,
-    "sim/campaign": 4,
     "sim/command": 3,
     "sim/physics": 3,
     "sim/recording": 1,
-    "sim/report": 9,
+    "sim/report": 4,
     "sim/response": 7,
     "sim/runs": 6,
-    "sim/studies": 16,
+    "sim/studies": 5,
 }
 
 
