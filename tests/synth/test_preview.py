@@ -295,7 +295,7 @@ def changed(preview: Mapping[str, Any], **parts: Any) -> str:
 @pytest.mark.parametrize(
     ("forged", "said"),
     [
-        ({"C": 1.001}, "of its peak off"),
+        ({"C": 1.001}, "of its peak"),
         ({"seconds": 0.5}, "it knows 0.5 s of the road, and vehicle.toml gives it 0.3 s"),
         ({"B": "none"}, "B has shape (); expected a matrix"),
     ],
