@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
-        raise InputError(f"--speed matters to rear wheels only, and a {vehicle.kind.name} has none; omit it")
+        raise InputError(f"--speed matters to rear wheels only, but a {vehicle.kind.name} has none; omit it")
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")

@@ -32,7 +32,7 @@ F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
 HORIZONTAL = 2.0  # Hz, in the place of f3 and f4 in W_d
 
-Section = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, by falling powers of s
+Section = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
 
 
 def _limits() -> tuple[Section, Section]:
@@ -78,7 +78,7 @@ class Filter:
     """Stable and proper filter of one signal.
 
     Attributes:
-        sections: numerator and denominator of each section in series, coefficients by falling powers of s.
+        sections: numerator and denominator of each section in series, coefficients in descending powers of s.
         name: name of a known filter; empty for a filter that is given by its coefficients.
         integrates: True if its only section may have a pole at 0.
 
@@ -174,12 +174,14 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
         return Filter(WEIGHTINGS[name], name)
     if len(there) < len(POLYNOMIALS):
         raise InputError(
-            f"{where} is not a filter; give numerator = [...] and denominator = [...], coefficients by falling powers of s, or "
-            f"filter = {_known()}"
+            f"{where} is not a filter; give numerator = [...] and denominator = [...], coefficients in descending powers of s, "
+            f"or filter = {_known()}"
         )
     for key in POLYNOMIALS:
         if not isinstance(given[key], list):
-            raise InputError(f"{where} {key} = {quoted(given[key])} is not a list; give its coefficients by falling powers of s")
+            raise InputError(
+                f"{where} {key} = {quoted(given[key])} is not a list; give its coefficients in descending powers of s"
+            )
     with error_in(f"{where}:"):
         return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
 
@@ -197,7 +199,7 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
             )
     coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
     if not coefficients:
-        raise InputError(f"{what} is zero; give its coefficients by falling powers of s")
+        raise InputError(f"{what} is zero; give its coefficients in descending powers of s")
     if len(coefficients) > MOST + 1:
         raise InputError(f"{what} is of degree {len(coefficients) - 1}; at most {MOST}: split the filter, or reduce its order")
     return coefficients

@@ -369,13 +369,13 @@ def read_structure(
         for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
             if not any(used):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", and {signal!r} belongs to no corner; measure signals that end as the '
+                    f'{where} structure = "{CORNER}", but {signal!r} belongs to no corner; measure signals that end as the '
                     f"forces do, {listing(corners)}, or give structure as rows of 0 and 1, one row for each force"
                 )
         for force, row in zip(corners, rows, strict=True):
             if not any(row):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", and no measurement is from the corner of {force!r}; measure one'
+                    f'{where} structure = "{CORNER}", but no measurement is from the corner of {force!r}; measure one'
                 )
         return rows
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)

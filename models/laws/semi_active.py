@@ -273,7 +273,7 @@ def read_semi_active(
             raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r}; {known}; it selects its own signals")
     if absent := [force for force in inputs if force not in endings]:
         raise InputError(
-            f"{where} semi_active = {quoted(name)} sets semi-active dampers, and {absent[0]} has none; give "
+            f"{where} semi_active = {quoted(name)} sets semi-active dampers, but {absent[0]} has none; give "
             '[actuators] kind = "damper", c_min and c_max'
         )
     numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)

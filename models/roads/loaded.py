@@ -66,8 +66,8 @@ class RoadWithLoads(DerivedRoad):
                 if name not in names:
                     able = " and ".join(WAYS[way] for way in names) if names else "has no body that loads can push"
                     raise InputError(
-                        f"load {load.label!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
-                        "take another load, or vehicle"
+                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able};  "
+                        "take another load or vehicle"
                     )
             for name, values in values_of(load).items():
                 total[:, names.index(name)] += values

@@ -143,7 +143,7 @@ class Road(ABC):
                 "it; give a longer one, less speed, or a smaller timestep"
             )
         if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-            raise InputError(f"the road is under the {self.track} side, and a {vehicle.kind.name} has only one track; omit track")
+            raise InputError(f"the road is under the {self.track} side, but a {vehicle.kind.name} has only one track; omit track")
         heights = under_wheels(self.displacement, self, vehicle, time)
         if heights.ndim != 2 or len(heights) != len(time) or not np.all(np.isfinite(heights)):
             raise InputError(f"{type(self).__name__}.displacement(t) is not a finite height [m] for each time of t; return these")

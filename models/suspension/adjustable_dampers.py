@@ -122,8 +122,8 @@ def adjustable(
             )
         if isinstance(curves.get(part.damping), ForceSurface):
             raise InputError(
-                f"[curves] {part.damping} is over velocity and deflection, and [actuators] has a semi-active damper there; "
-                "omit one of them, or give the curve over velocity alone"
+                f"[curves] {part.damping} depends on velocity and deflection, but [actuators] has a semi-active "
+                "damper there; omit one of them, or give the curve over velocity only"
             )
         nominal = parameters[part.damping]
         if not damper.c_min <= nominal <= damper.c_max:

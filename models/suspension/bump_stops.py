@@ -97,7 +97,7 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
             "begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = [22e3, { ... }]"
         )
     if stroke is not None and u[first]:
-        raise InputError(f"its table has a gap of {u[first]:g} m, and suspension_stroke is {stroke:g} m; omit one of them")
+        raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of them")
     if force[-1] < force[-2]:
         raise InputError(f"its force falls to {force[-1]:.6g} N at its end, as it goes on from there; end flat or rising")
     gap, u, force = float(u[first]), u[first:] - u[first], force[first:]

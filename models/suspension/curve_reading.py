@@ -296,7 +296,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
-            f"its force at rest is {at_rest:g} N, and a damper's is 0; subtract the force of its gas, which is "
+            f"its force at rest is {at_rest:g} N, but a damper's must be 0; subtract the force of its gas, which is "
             "part of the spring's preload"
         )
     force = force - at_rest

@@ -180,7 +180,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     dampers = {force: damper for force, damper in by_force.items() if damper is not None}
     if dampers and limited:
         raise InputError(
-            f"[limits] {limited[0]} is for force actuators, and [actuators] has semi-active dampers, which c_min, c_max and "
+            f"[limits] {limited[0]} is for force actuators, but [actuators] has semi-active dampers, which c_min, c_max and "
             'bandwidth limit; omit the key, or give controllers of force actuators actuators = "force"'
         )
     return dampers

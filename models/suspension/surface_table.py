@@ -53,7 +53,7 @@ def surface_from(entry: Mapping[str, Any]) -> ForceSurface:
     at_rest, largest = np.array([np.interp(0.0, v, column) for column in table.T]), float(np.abs(table).max())
     for j in np.flatnonzero(~(np.abs(at_rest) <= ROUNDING * largest))[:1]:
         raise InputError(
-            f"its force at rest is {at_rest[j]:g} N at deflection {d[j]:g} m, and a damper's is 0; subtract the force of its gas"
+            f"its force at rest is {at_rest[j]:g} N at deflection {d[j]:g} m, but a damper's must be 0; subtract its gas force"
         )
     if 0.0 not in v:
         i = int(np.searchsorted(v, 0.0))

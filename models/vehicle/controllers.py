@@ -254,7 +254,7 @@ def _controller(
                 f"known: {listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
-        raise InputError(f"{where} its file must be next to a vehicle file, and this text is not from a file; give its matrices")
+        raise InputError(f"{where} its file must be next to a vehicle file, but this text is not from a file; give its matrices")
     structured = entry.get("structure") in PATTERNS
     given = any(key in entry for key in ("gain", *MATRICES, *["pid"] * (not structured)))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
@@ -287,7 +287,7 @@ def _controller(
                 f"only; give signals out of: {measurable}"
             )
     if study and not model.over_datum(measured):
-        raise InputError(f"{where} has study = true, and measures no height over the datum of a flat road; omit study")
+        raise InputError(f"{where} has study = true, but measures no height over the datum of a flat road; omit study")
     if not given and python is None and set(measured) <= set(model.inputs):
         raise InputError(f"{where} control forces alone do not determine the state; measure signals out of: {measurable}")
     if of_state and set(measured) != set(model.states):

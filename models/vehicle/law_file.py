@@ -110,7 +110,7 @@ def _check_plain(matrices: Mapping[str, Any]) -> None:
     delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
     if delayed:
         raise InputError(
-            f"has {', '.join(delayed)} above 0, and a law has no delay here; give it in [implementation], or use pade(sys, 3)"
+            f"has {', '.join(delayed)} above 0, but a law has no delay here; give it in [implementation], or use pade(sys, 3)"
         )
     unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
     if unit not in ("", "seconds"):

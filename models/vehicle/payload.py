@@ -46,7 +46,7 @@ def laden(
     about_rest += [*kind.ratios]
     if about_rest:
         raise InputError(
-            f"[payload] sinks the car, and the curve {about_rest[0]} is about its rest without payload; give the curve about the "
+            f"[payload] sinks the car, but the curve {about_rest[0]} is about its rest without payload; give the curve about the "
             "laden rest, and the laden mass and inertias in [parameters]"
         )
     for where, given in named.items():

@@ -58,8 +58,8 @@ def read_weighted_errors(
             raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
         if set(table) != {"weight"}:
             raise InputError(
-                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give a largest error, 0.1 for 10 %, or "
-                "{ weight = { numerator = [...], denominator = [...] } }, by falling powers of s"
+                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give the largest "
+                "relative error (0.1 for 10 %), or { weight = { numerator = [...], denominator = [...] } }, in descending powers of s"
             )
         weights[name] = _weight(f"{where} tolerance of {name}", table["weight"])
     names = {*weights, *others}
@@ -76,7 +76,7 @@ def _weight(where: str, given: Any) -> Filter:
                     f"{where} weight has the key {quoted(key)}; give a numerator and a denominator, which hold all of the weight"
                 )
         return read_filter(where, given)
-    more = ", or a numerator and a denominator, coefficients by falling powers of s"
+    more = ", or a numerator and a denominator, coefficients in descending powers of s"
     return Filter((((number_within(f"{where} weight", given, SMALLEST, LARGEST, more=more),), (1.0,)),))
 
 

@@ -169,7 +169,7 @@ def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]
 def _check_save(campaign: Campaign, path: Path) -> None:
     """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
     if len(campaign.vehicles) > 1:
-        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; list one vehicle in it")
+        raise InputError(f"--save writes one vehicle file, but the campaign has {len(campaign.vehicles)}; list one vehicle in it")
     ((name, vehicle),) = campaign.vehicles.items()
     for controller in campaign.variants[name]:
         check_name("--save:", controller + SUFFIX, ())

@@ -32,7 +32,7 @@ def check_display() -> None:
         InputError: there is no screen on which a window could open.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("--open needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is set; give --serve, and open its page")
+        raise InputError("--open needs a screen, but neither DISPLAY nor WAYLAND_DISPLAY is set; give --serve, and open its page")
 
 
 def open_viewer(recording: Path) -> None:

@@ -163,7 +163,7 @@ class _Loop:
             if vehicle.kind.ratios and not passive:
                 raise InputError(
                     f"controller {one.name!r} pushes through {next(iter(vehicle.kind.ratios))}, which changes with travel in "
-                    "[curves], and runs need a constant one for that; run passive, or give the ratio in [parameters]"
+                    "[curves], but runs with control need a constant ratio; run passive, or give the ratio in [parameters]"
                 )
         first, timestep = self.vehicles[0], course.timestep
         self.model, self.readout = prepared(first, timestep)

@@ -80,7 +80,7 @@ def _row(scope: Scope, one: Controller) -> Row:
 def _with_laws(scope: Scope, table: Table) -> Table:
     """Returns the table of designs with a row for each law without a proof."""
     empty = ["-"] * (len(table.headings) - 3)
-    rows = ((one.name, ", ".join(one.measured).replace("_", " "), *empty, f"no linear claim: {one.kind}") for one in scope.laws)
+    rows = ((one.name, ", ".join(one.measured).replace("_", " "), *empty, f"no linear claim ({one.kind})") for one in scope.laws)
     return replace(table, rows=(*table.rows, *rows))
 
 

@@ -181,7 +181,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller, or the reason for which it has none."""
     if not isinstance(controller, Controller):
-        return f"no linear claim: {controller.kind}"
+        return f"no linear claim ({controller.kind})"
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
@@ -380,7 +380,8 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}", "fails")
     else:
         yield Statement(
-            f"{what} is within {size} of every peak{small} {_when(run)}; the cause is {agreement.cause} (worst: {worst})"
+            f"{what} is within {size} of every peak{small} {_when(run)}; "
+            f"the difference comes from {agreement.cause} (worst: {worst})"
         )
     if agreement.coarse:
         yield Statement(
@@ -393,13 +394,13 @@ def _balance(run: RunResult) -> Iterator[Statement]:
     energy = run.energy
     if energy is None:
         return
-    of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} turned over"
+    of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
         given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it took"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
-        yield Statement(f"energy balances: the work of {sources} is stored or dissipated, except {of}")
+        yield Statement(f"energy balances: all work of {sources} is stored or dissipated, to within {of}")
     elif not energy.judged or run.physics.ran_away:
         why = "the law overflows" if energy.judged else "the timestep is too coarse"
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")

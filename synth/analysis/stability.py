@@ -252,7 +252,7 @@ def _inverse_of_triangle(matrix: Array) -> Array:
     """
     inverse, singular = lapack.ztrtri(matrix)  # pyright: ignore[reportAttributeAccessIssue] - made by f2py, without stubs
     if singular:
-        raise np.linalg.LinAlgError("a diagonal entry is 0")
+        raise np.linalg.LinAlgError("a diagonal entry of the factor is 0")
     return inverse
 
 

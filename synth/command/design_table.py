@@ -266,8 +266,8 @@ def document(designs: Designs, options: Namespace) -> Document:
     blocks += describe(vehicle, rows, designs.limit, designs.plant).blocks
     if not asked:
         blocks += _rides(designs)
-        shares = ", ".join(f"{as_name(row.name)} by {_at_least(row.worth)} or more" for row in rows if row.worth)
-        blocks += notes(f"--refine lowers the norm of {shares}.") if shares else ()
+        shares = ", ".join(f"{as_name(row.name)} by at least {_at_least(row.worth)}" for row in rows if row.worth)
+        blocks += notes(f"--refine lowers the norms: {shares}.") if shares else ()
     unnamed = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
     if unnamed and not (options.controller or options.check):
         names = ", ".join(map(as_name, unnamed))

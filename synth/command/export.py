@@ -99,7 +99,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers is for code, and a file for MATLAB has double numbers; omit it")
+        raise InputError("--numbers is for code, but a file for MATLAB has double numbers; omit it")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
@@ -169,7 +169,7 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and do
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns a controller as the content of an FMU, with the exported folder as its resources."""
     if options.numbers not in ("double", "float"):
-        raise InputError(f"the variables of an FMU are floating point, and {options.numbers} is not; give double or float")
+        raise InputError(f"the variables of an FMU must be floating point, but {options.numbers} is not; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
 
@@ -208,7 +208,7 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     entry = vehicle.controllers.get(name)
     if vehicle.driven_by(name) is not vehicle:
         raise InputError(
-            f"--export: {name!r} drives force actuators, and the file has semi-active dampers; export it from a file without "
+            f"--export: {name!r} drives force actuators, but the file has semi-active dampers; export it from a file without "
             "[actuators]"
         )
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):

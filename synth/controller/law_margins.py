@@ -109,7 +109,7 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     small = by_text((name, one.pair) for name, one in margins.items() if one.small and name not in grow)
     pairs = "; ".join(f"{names} {pair}" for pair, names in small.items())
     texts = [f"Unstable by itself{''.join(clipped)}: {rates}"] if grow else []
-    return [*texts, *([f"Small gain/disk margins: {pairs}"] if pairs else [])]
+    return [*texts, *([f"Low stability margins (gain/disk): {pairs}"] if pairs else [])]
 
 
 def unstable_by_itself(driver: AnyController) -> bool:

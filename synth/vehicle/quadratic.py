@@ -25,7 +25,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     how = vehicle.implementation
     if entry.design == "lqg" and how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
         raise DesignError(
-            "LQG uses white noise of intensity rms times sqrt(sample_period), and [implementation] has noise without "
+            "LQG uses white noise of intensity rms times sqrt(sample_period), but [implementation] has noise without "
             "sample_period; give both, or neither"
         )
     rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)

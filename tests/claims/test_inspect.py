@@ -167,7 +167,7 @@ def test_metrics_of_a_log(tmp_path, capsys, old, new, said):
         ("quarter_car", LIMITED, ["--controller", "II", "--duration", "0.5"], "bump stop"),
         pytest.param(
             *("half_car", "\n[implementation.noise]\nheave_velocity = 1e-7\n"),
-            *(["--controller", "I", "--duration", "0.5"], "the cause is geometry and noise"),
+            *(["--controller", "I", "--duration", "0.5"], "the difference comes from geometry and noise"),
             marks=pytest.mark.attack,
         ),
         ("quarter_car", WILD, ["--controller", "wild"], "^diverged"),

@@ -521,7 +521,7 @@ def test_which_options_go_together(tmp_path):
         main(["--controller", "I", "--part", "vehicle", "--export", file])
     with refused("--numbers is for a controller's code"):
         main(["--part", "vehicle", "--numbers", "float", "--export", file])
-    with refused("the variables of an FMU are floating point"):
+    with refused("the variables of an FMU must be floating point"):
         main(["--controller", "I", "--numbers", "int16", "--export", file])
     with refused("skyhook"):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])

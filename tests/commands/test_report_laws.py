@@ -49,7 +49,7 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
     assert found["verdict"] == "holds"
     (design,) = rows_of(found, "designs")
     assert [design[key] for key in ("bound", "norm", "lower bound", "slowest pole [1/s]")] == ["-"] * 4
-    assert design["certificate"] == "no linear claim: a law in Python"
+    assert design["certificate"] == "no linear claim (a law in Python)"
     assert any(said.startswith("Linear analysis does not apply to `mine` (a law in Python)") for said in found["answer"])
     orders = {row["its order"] for row in rows_of(found, "agreement")}
     assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces

@@ -38,7 +38,7 @@ def hopper(tmp_path):
 def test_own_kind_of_vehicle(hopper, tmp_path, capsys):
     """Three files make a new kind of vehicle: designed, driven, found to agree, logged, by the command of the recipe."""
     assert main(["--vehicle", str(hopper), "--controller", "I", "--logs", str(tmp_path / "logs"), "-v"]) == 0
-    assert "the cause is RK4's own error" in prose(capsys.readouterr().out)
+    assert "the difference comes from RK4's own error" in prose(capsys.readouterr().out)
     assert {path.suffix for path in (tmp_path / "logs").iterdir()} == {".mcap", ".json", ".rrd"}
 
 

@@ -143,7 +143,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     file = vehicle_with(tmp_path, mat(LAW))
     monkeypatch.chdir(tmp_path)
     for folder in (None, tmp_path):
-        with pytest.raises(InputError, match="its file must be next to a vehicle file, and this text is not from a file"):
+        with pytest.raises(InputError, match="its file must be next to a vehicle file, but this text is not from a file"):
             parse_vehicle(file.read_text(), folder=folder)
 
 

@@ -265,12 +265,12 @@ WRONG = [
     ({"v": 1e3 * V}, "velocity has -900.0; give numbers up to 50 m/s, not mm/s"),
     ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give both sides of rest"),
     ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range with equilibrium"),
-    ({"force": F + 50}, "its force at rest is 50 N at deflection -0.04 m, and a damper's is 0; subtract the force of its"),
+    ({"force": F + 50}, "its force at rest is 50 N at deflection -0.04 m, but a damper's must be 0; subtract its gas force"),
     ({"force": -F}, "its force at -0.9 m/s and -0.04 m is 1500 N: that feeds energy in"),
     ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "its force at deflection -0.04 m falls beyond -0.9 m/s"),
     (
         {"more": '[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0'},
-        "is over velocity and deflection, and [actuators] has",
+        "depends on velocity and deflection, but [actuators] has",
     ),
 ]
 

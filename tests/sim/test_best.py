@@ -281,13 +281,13 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] draws nothing; give keys of its law"),
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "has no 'gain[0][1]' to be drawn; it has gain[0][0]"),
-        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no keys to be drawn"),
+        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no values in the vehicle file"),
         (
             '[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "controller 'I' has no keys to be drawn in the vehicle file",
+            "controller 'I' has no values in the vehicle file to be sampled",
         ),
-        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no keys to be drawn"),
-        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no keys to be drawn"),
+        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no values in the vehicle file"),
+        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no values in the vehicle file"),
         ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is not a controller of the campaign"),
     ],
 )
@@ -307,7 +307,7 @@ def test_what_cannot_be_saved_is_refused_before_the_runs(tmp_path, monkeypatch):
     inline = f"controllers = {{ {', '.join(laws)} }}\n{CAR.partition('[controllers')[0]}"
     check_refused(tmp_path, monkeypatch, FILE, save, "write each as [controllers.NAME]", inline)
     both = FILE.replace('["car.toml"]', '["car.toml", "quarter_car_semi_active"]')
-    check_refused(tmp_path, monkeypatch, both, save, "--save writes one vehicle file, and the campaign has 2")
+    check_refused(tmp_path, monkeypatch, both, save, "--save writes one vehicle file, but the campaign has 2")
 
 
 def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):

@@ -166,7 +166,7 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert 0 < force["rms"] < force["peak"] < (1 if numbers == "float" else 1e-6)
     assert inspect([*map(str, tmp_path.glob("*.mcap")), "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    assert ("the cause is rounding to float" in said) == (numbers == "float")
+    assert ("the difference comes from rounding to float" in said) == (numbers == "float")
     assert "equal the logged ones bit for bit" in said
 
 

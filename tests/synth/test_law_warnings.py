@@ -145,7 +145,7 @@ def test_published_gains_have_small_margins(capsys):
     """The paper's `state` and I are named with gain margins of 1.11 and 1.21, and II is not."""
     assert synth([]) == 0
     out = capsys.readouterr().out
-    assert "Small gain/disk margins: state, state_printed 1.11/0.10; I, I_printed 1.21/0.19 Limit" in prose(out)
+    assert "Low stability margins (gain/disk): state, state_printed 1.11/0.10; I, I_printed 1.21/0.19 Limit" in prose(out)
     assert bump(["--controller", "I", "--duration", "0.5", "--no-logs"]) == 0
     assert "\nI: gain margin 1.21, disk margin 0.19\n" in capsys.readouterr().out
 

@@ -149,7 +149,7 @@ def _largest(one: Sweep | None) -> str:
     if not one.is_bounded:
         text = "No sinusoid is the worst, as the loop has no finite norm"
     elif one.extremes.lti:
-        text = "The worst sinusoid reaches the held-road norm, and no other road has a larger gain"
+        text = "The gain for the worst sinusoid equals the held-road norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
     elif one.road is not None and not one.road.twisted:

@@ -150,7 +150,7 @@ def exported_law(
     if not isinstance(driver, (Controller, SemiActive)):
         raise InputError(f"controller {driver.name!r} is {driver.kind} and code already; export a linear or semi-active one")
     if not driver.measured:
-        raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
+        raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
         raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
     if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.adjustable):
@@ -224,7 +224,7 @@ def _ranges(
         InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
     """
     if vehicle.dampers:
-        raise InputError("fixed point is for forces, and this vehicle has semi-active dampers; give double or float")
+        raise InputError("fixed point is for forces, but this vehicle has semi-active dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
         raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")

@@ -84,5 +84,5 @@ def _tolerance(value: Array | float, count: int, of: str) -> Array:
     except (TypeError, ValueError):
         raise InputError(f"the tolerance {of} has shape {np.shape(value)}; give one number for all, or {count}") from None
     if not np.all((width >= 0) & (width <= 1)):
-        raise InputError(f"a tolerance {of} is {value}; give numbers from 0 to 1, relative: 0.1 is 10 % at most")
+        raise InputError(f"a tolerance {of} is {value}; give relative errors from 0 to 1 (0.1 is 10 %)")
     return width

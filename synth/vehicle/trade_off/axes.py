@@ -140,7 +140,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
-        raise InputError(f"--front {axis} needs signals called {stem}, and this vehicle has none; omit {axis}")
+        raise InputError(f"--front {axis} needs signals called {stem}, but this vehicle has none; omit {axis}")
     return weights
 
 
