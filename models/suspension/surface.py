@@ -82,8 +82,8 @@ class ForceSurface(ForceCurve):
     @cached_property
     def bent(self) -> bool:
         """See `ForceCurve.bent`."""
-        v, d = np.meshgrid(self.velocities, self.deflections)
-        return bool((np.abs(self.beyond(v, d)) > STRAIGHT * self.range).any())
+        v = self.velocities[:, None] / self.ratio  # of the suspension, at all points of the table
+        return bool((np.abs(self.beyond(v, self.deflections)) > STRAIGHT * self.range).any())
 
     @property
     def slope_range(self) -> tuple[float, float]:

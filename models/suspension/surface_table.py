@@ -22,7 +22,6 @@ NAMES = ("velocity", "deflection", "force")
 LARGEST = {"velocity": (50.0, "m/s, not mm/s"), "deflection": (5.0, "m, not mm"), "force": (1e9, "N")}
 NAMED = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-COMPRESSION, EXTENSION = {"compression", "bump", "jounce"}, {"extension", "rebound", "droop"}
 CLOSEST, ROUNDING = 1e-9, 1e-9  # of a range
 MEASURED = 4  # pairs of velocity and deflection per row: a list with more is not a table
 GIVE = "{ velocity = [...], deflection = [...], force = [[...], ...] }, a list of forces for each velocity"
@@ -113,13 +112,13 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
             return None
         raise InputError(f"its first cell is {quoted(corner)}; write the quantities with their units there: {FIRST_CELL}")
     scale = {name: found[0].scale(name) for name, found in of.items()}
-    words = {name: set(re.findall("[a-z]+", found[0].name.lower())) for name, found in of.items()}
+    directions = {name: found[0].direction for name, found in of.items()}
     for name in NAMES[:2]:
-        if not words[name] & {name, *COMPRESSION, *EXTENSION}:
+        if not (directions[name] or name in of[name][0].words):
             raise InputError(
                 f"{quoted(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
             )
-    along = -1 if COMPRESSION & (words["velocity"] | words["force"]) else 1
+    along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     numbers = table.numbers()[0]
     if across is None:
         columns = {name: numbers[:, found[0].column - 1] for name, found in of.items()}
@@ -133,7 +132,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     else:
         v, d, force = numbers[:, 0], across, numbers[:, 1:]
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force
-    d = -d if COMPRESSION & words["deflection"] else d
+    d = -d if directions["deflection"] < 0 else d
     i, j = np.argsort(v, kind="stable"), np.argsort(d, kind="stable")
     return {name: (x + 0.0).tolist() for name, x in zip(NAMES, (v[i], d[j], force[np.ix_(i, j)]), strict=True)}  # no -0.0
 

@@ -187,7 +187,9 @@ def curves_and_parameters(
     section = {name: entry for name, entry in data["curves"].items() if name not in ratios}
     at_rest = {name: table.at_rest for name, table in ratios.items()}
     anything = {name: 1.0 for name in section if name in over} | at_rest  # the loads do not depend on it
-    curves = read_curves(section, over, lambda name: static_loads(kind, kind.check({**data["parameters"], **anything})).get(name))
+    curves = read_curves(
+        section, over, lambda name: static_loads(kind, kind.check_each({**data["parameters"], **anything})).get(name)
+    )
     kind = replace(kind, ratios=ratios) if ratios else kind
     return (
         curves,

@@ -58,8 +58,8 @@ def read_weighted_errors(
             raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
         if set(table) != {"weight"}:
             raise InputError(
-                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give the largest "
-                "relative error (0.1 for 10 %), or { weight = { numerator = [...], denominator = [...] } }, in descending powers of s"
+                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give the largest relative "
+                "error (0.1 for 10 %), or { weight = { numerator = [...], denominator = [...] } }, descending powers of s"
             )
         weights[name] = _weight(f"{where} tolerance of {name}", table["weight"])
     names = {*weights, *others}

@@ -169,7 +169,13 @@ class _Loop:
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in self.vehicles}
         self.hardware = {
-            key: (*other.parameters.values(), *other.curves.values(), other.limits, *other.dampers.values())
+            key: (
+                *other.parameters.values(),
+                *other.curves.values(),
+                *other.kind.ratios.values(),
+                other.limits,
+                *other.dampers.values(),
+            )
             for key, other in distinct.items()
         }
         one_of = {self.hardware[key]: other for key, other in distinct.items()}

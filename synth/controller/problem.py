@@ -170,10 +170,12 @@ class Problem:
             return judged
         (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
         C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
-        read = judged.G.K[:, : len(of_heights)] @ of_heights
+        K = judged.G.K[:, : len(of_heights)]
+        read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)  # gains that cancel leave rounding, of the size of terms
         E, F = plant.B @ read, plant.D @ read
         inverse = np.linalg.inv(loop.A)
-        shift, size = inverse @ E, np.abs(F) + np.abs(loop.C) @ np.abs(inverse) @ np.abs(E)
+        shift = inverse @ E
+        size = np.abs(plant.D) @ terms + np.abs(loop.C) @ np.abs(inverse) @ np.abs(plant.B) @ terms
         left = np.abs(F - loop.C @ shift)
         if np.all(left <= RETURNS * size):
             return replace(judged, plant=replace(plant, A=plant.A + shift @ C.T, Bw=plant.Bw + shift @ D.T))

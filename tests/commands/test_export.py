@@ -286,7 +286,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
             "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE",
         ),
         ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integers"),
-        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state does not decay"),
+        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "one does not decay"),
     ],
 )
 def test_what_is_not_exported(vehicle, options, said, tmp_path):

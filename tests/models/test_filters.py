@@ -306,7 +306,7 @@ def test_no_second_witness_with_filters(tmp_path):
 BAD = [
     ("unknown name", 'sprung_acceleration = { filter = "iso2631_wz" }', ["'iso2631_wz'", '"iso2631_wk"', "numerator"]),
     ("name and numerator", 'sprung_acceleration = { filter = "iso2631_wk", numerator = [1.0] }', ["by name and a numerator"]),
-    ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is not a filter", "falling powers of s"]),
+    ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is not a filter", "descending powers of s"]),
     ("unknown key", 'sprung_acceleration = { filter = "iso2631_wk", gain = 2 }', ["unknown key 'gain'", "weight"]),
     ("improper", "sprung_acceleration = { numerator = [1.0, 0.0], denominator = [2.0] }", ["degree 1", "grows without limit"]),
     ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["not stable"]),

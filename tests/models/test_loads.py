@@ -356,7 +356,7 @@ def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
         "from a file": ["--load", str(tmp_path / "pull.csv"), "--class", "B"],
     }[way]
     printed, log = drive(tmp_path / "logs", capsys, "--vehicle", "half_car", *arguments)
-    assert "energy balances: the work of road, loads and actuators" in printed
+    assert "energy balances: all work of road, loads and actuators" in printed
     assert {"alone": "flat, speed 20 m/s, loads brake:g=0.2:", "with a road": "loads brake:g=0.3:", "from a file": "pull.csv"}[
         way
     ] in printed

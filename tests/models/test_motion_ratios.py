@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from models.common.errors import InputError
 from models.roads.choice import choose_road
-from models.roads.road import RoadInput
+from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate
@@ -234,6 +234,19 @@ def test_ratios_are_sampled_side_by_side():
         assert all(value[i] == pytest.approx(own[name], rel=EXACT) for name, value in meter.result().items())
     dampers = car("quarter_car", "measured")
     assert reads_out(dampers, 1e-3) != reads_out(dampers.with_parameters(motion_ratio=0.7), 1e-3)
+
+
+def test_tables_are_run_side_by_side():
+    """Cars that differ by their tables of the ratio alone run in one batch as each does alone."""
+    text = re.sub(r"^motion_ratio.*\n", "", car("quarter_car", "linear").text, flags=re.M)
+    table = "motion_ratio = {{ deflection = [-0.1, 0, 0.1], ratio = [{}, 0.7, {}] }}"
+    cars = [parse_vehicle(f"{text}\n[curves]\n{table.format(0.7 + e, 0.7 - e)}\n") for e in (0.04, 0.0395)]
+    controllers = [Designer(one).design("passive") for one in cars]
+    inputs = [RoadInput(one, Bump(height=0.05), np.arange(300) * 1e-3) for one in cars]
+    together = simulate(controllers, inputs).response.values
+    for i in range(2):
+        assert np.array_equal(together[i], simulate(controllers[i : i + 1], inputs[i : i + 1]).response.values[0])
+    assert not np.array_equal(*together)
 
 
 def test_expected_values_follow():

@@ -7,6 +7,7 @@ import pytest
 
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
+from models.suspension.curve import ForceCurve
 from models.suspension.motion_ratio import RatioTable
 from models.suspension.surface import surface_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -122,6 +123,8 @@ def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
     force = r * [bilinear(*pair) for pair in zip(r * v, own, strict=True)]
     assert np.abs(surface.along(v, d) - force).max() < 1e-4 * np.abs(force).max()
+    late = ForceCurve(np.array([-1.0, -0.4, 0.0, 0.4, 1.0]), np.array([-1.0, -0.8, 0.0, 0.8, 1.0]), 2.0, "")
+    assert RatioTable(np.array([-0.1, 0.1]), np.array([0.4, 0.4])).damper(late, 1.0).bent  # where the suspension moves at 1 m/s
 
 
 def test_two_percent_of_any_number_shows():
@@ -241,6 +244,8 @@ def rows(first, v, d, force, mark=","):
 FILES = {
     "list": "velocity [m/s], deflection [mm], force [N]\n" + "\n".join(f"{v}, {1e3 * d}, {bilinear(v, d)}" for d in D for v in V),
     "sheet": rows(ACROSS, 1e3 * V, 1e3 * D, F / 1e3, ";").replace(".", ","),
+    "words": "velocity [m/s], comp deflection [mm], comp force [N]\n"
+    + "\n".join(f"{-v}, {-1e3 * d}, {-bilinear(v, d)}" for d in D for v in V),
     "compression": "# of a rig\n" + rows(SQUEEZED, -V, -1e3 * D, -F),
 }
 

@@ -1,7 +1,7 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of absolute error.
 
-A height ends at the step's height, every other signal at zero. The error is the distance from there. Time begins when the first
-wheel reaches the edge.
+A height ends at the step's height, every other signal at zero, except with a law for study, whose force may last. The error is
+the distance from there. Time begins when the first wheel reaches the edge.
 """
 
 import math
@@ -198,7 +198,8 @@ def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
 
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
     """Returns the step metrics of runs: MuJoCo's of the first height, or of travel without one, and in full of all signals."""
-    one = next((name for name, each in measured[0].items() if each.final), next(iter(measured[0])))
+    heights = runs[0].vehicle.linear_model.heights
+    one = next((name for name, each in measured[0].items() if each.final and name in heights), next(iter(measured[0])))
     pairs = [(run.controller.name, metrics[one].mujoco) for run, metrics in zip(runs, measured, strict=True)]
     title = f"Response to the step: {one} [{measured[0][one].unit}]"
     blocks: list[Block] = [Table.of("step", title, _columns("controller"), pairs)]

@@ -310,7 +310,8 @@ def _box_document(found: StabilityMargins) -> Document:
             return Document("", notes("Other vehicles are not compared, as the loop has no finite norm."))
         return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
-    text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. Vehicles between them have no proof."
+    text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. "
+    text += "Nothing is proved for vehicles between them."
     factors = [
         Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
         for i, one in enumerate(box.varied)
