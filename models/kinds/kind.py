@@ -489,7 +489,7 @@ class VehicleKind(Checked):
         for part in self.suspensions if self.ratios else ():
             if at_wheels.get(part.stiffness, 0.0) < 0:
                 raise InputError(
-                    f"{part.ratio} turns the preload so much that the spring's rate at the wheel is "
+                    f"{part.ratio} changes so fast with travel that the preload makes the spring's wheel rate "
                     f"{at_wheels[part.stiffness]:.4g} N/m; give a stiffer spring, or a ratio that changes less with travel"
                 )
         self.check_together(at_wheels)

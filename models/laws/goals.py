@@ -330,7 +330,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
         more = ", relative: 0.1 is 10 %, or a table, { weight = ... }, for one that grows with frequency"
         number_within(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
     if FORCE in value and any(force in value for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance names {FORCE}, for all forces, and one of them; give one or the other")
+        raise InputError(f"{where} tolerance names both {FORCE}, which is all forces, and a single force; give one or the other")
     return {name: float(share) for name, share in value.items()}
 
 

@@ -185,7 +185,7 @@ def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
     table = table_within(f"{where} pid", entry.get("pid", {}), "one, as in pid = { filter = 0.01 }")
     if given := [name for name in GAINS if name in table]:
         raise InputError(
-            f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; omit structure for a law of given '
+            f'{where} structure = "{kind}" designs the gains, but pid already gives {given[0]}; omit structure to use given '
             "numbers, or give pid its filter alone"
         )
     check_keys(f"{where} pid", table, (FILTER,))

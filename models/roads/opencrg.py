@@ -105,7 +105,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
         last: characters of the last line.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
-        raise InputError(f"its last line has {last} characters, and {expected} are due: it was cut; give the whole file")
+        raise InputError(f"its last line has {last} characters instead of {expected}: it was cut; give the whole file")
     end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
     step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
     if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):

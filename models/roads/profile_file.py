@@ -150,7 +150,7 @@ def erd_text(text: str) -> tuple[str, str]:
     lines = header.splitlines()
     sizes = [part.strip() for part in lines[1].split(",")] if len(lines) > 1 else []
     if not end or len(sizes) < 6:
-        raise InputError("is an ERD file without a second line of sizes, or without END; export the profile as text")
+        raise InputError("is an ERD file without sizes on line 2, or without END; export the profile as text")
     if sizes[4] != str(IN_TEXT):
         raise InputError(f"is an ERD file whose numbers are binary (KEYNUM {sizes[4]}); export it with numbers as text, KEYNUM 5")
     values = {line[:FIELD].strip(): line[FIELD:] for line in lines[2:]}

@@ -293,7 +293,7 @@ def _controller(
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(
-            f'{where} measured = {quoted(measured)}: design = "{design}" is of the state, {listing(model.states)}; leave '
+            f'{where} measured = {quoted(measured)}: design = "{design}" uses the full state, {listing(model.states)}; leave '
             f"measured out{instead}"
         )
     structure = pid = None

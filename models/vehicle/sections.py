@@ -68,7 +68,7 @@ def read_sums(section: Mapping[str, Any], outputs: Sequence[str]) -> tuple[Weigh
         if not is_sum(given):
             continue
         if name in outputs or name == ROAD:
-            raise InputError(f"{where} is a {'signal' if name in outputs else 'filter'}, and no sum; give the sum another name")
+            raise InputError(f"{where} already names a {'signal' if name in outputs else 'filter'}; give the sum another name")
         terms, weight = given["sum"], given.get("weight", 1.0)
         if not isinstance(terms, Mapping) or not terms or not all(is_number(one) and one for one in terms.values()):
             raise InputError(

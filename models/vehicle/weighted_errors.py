@@ -64,7 +64,7 @@ def read_weighted_errors(
         weights[name] = _weight(f"{where} tolerance of {name}", table["weight"])
     names = {*weights, *others}
     if FORCE in names and any(force in names for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance names {FORCE}, for all forces, and one of them; give one or the other")
+        raise InputError(f"{where} tolerance names both {FORCE}, which is all forces, and a single force; give one or the other")
     return WeightedErrors(weights)
 
 

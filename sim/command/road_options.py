@@ -169,7 +169,7 @@ def road_text(options: argparse.Namespace) -> str:
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")
         if (named_file(road) or ("", ""))[1] != "profile":
-            raise InputError("--from is the start on a road from a file; give a file with --road, or omit --from")
+            raise InputError("--from sets the start on a road from a file; give a file with --road, or omit --from")
         return PLUS.join([f"{road}:from={start!r}", *loads])
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")

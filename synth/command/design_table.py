@@ -320,7 +320,7 @@ def _flat(designs: Designs) -> list[Statement | Table]:
     if not designs.flat:
         return []
     of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
-    text = f"For {percent(FLAT)} more of {of}, each largest gain of the state feedback on a state may move alone:"
+    text = f"For {percent(FLAT)} more of {of}, each state's largest feedback gain may move alone:"
     return [*notes(text, detail="full"), Table.of("flat", text, MOVES, designs.flat.items(), detail="full")]
 
 

@@ -289,7 +289,7 @@ def judged_lines(controller: Controller) -> list[str]:
         omit = "a norm as implemented, and one that sim.sweep measures, include no loads"
         texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
-        texts.append("the law is discrete: norm, bounds and poles are those of the continuous law whose Tustin transform it is")
+        texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")
     if hardware.bandwidth is not None:
         lag = f"the actuators' lag, {hardware.bandwidth:g} rad/s"
         texts.append(f"norm, bounds and poles include {lag}; z weights the commanded force")

@@ -213,7 +213,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),
         (["height = { sum = { tyre_deflection = 1.0 }, gain = 1 }"], "", "height unknown key 'gain'"),
-        (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "is a signal, and no sum"),
+        (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "already names a signal; give the sum another name"),
     ],
 )
 def test_refused(lines, more, said):

@@ -249,9 +249,9 @@ def test_from_is_the_rest_of_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--class", "C"], "--from is the start on a road from a file"),
-        (["--road", "bump"], "--from is the start on a road from a file"),
-        (["--road", "rig:file=drive.csv"], "--from is the start on a road from a file"),
+        (["--class", "C"], "--from sets the start on a road from a file"),
+        (["--road", "bump"], "--from sets the start on a road from a file"),
+        (["--road", "rig:file=drive.csv"], "--from sets the start on a road from a file"),
         (["--road", f"{UNEVEN}:from=3"], "from is given twice, '3' and '5.0'"),
     ],
 )

@@ -331,7 +331,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("pid = { kp = 1.0 }\nA = [[1.0]]", "pid with A: a controller has only one law"),
     ("pid = { kp = [1.0, 2.0] }", r"pid.kp = \[1.0, 2.0\] is not allowed; give a number, or a list of 1"),
     ("pid = { kd = 1.0, filter = 0.0 }", "pid.filter = 0.0 is not allowed"),
-    ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" designs the gains, and pid gives kp'),
+    ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" designs the gains, but pid already gives kp'),
     ('structure = "pi"\npid = { filter = 1.0 }', 'structure = "pi" has no derivative'),
 )
 

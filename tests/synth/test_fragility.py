@@ -162,7 +162,7 @@ def test_more_errors_than_corners_are_looked_at():
     assert found.stable.proved_margin == 0.0
     assert 0 < found.within[0.01].smallest_violation <= found.within[0.1].smallest_violation
     text = proved_text(found)
-    assert text.startswith("stability is not proved; the norm within 1 % of errors is not proved")
+    assert text.startswith("stability is not proved; a norm at most 1 % higher is not proved for any error")
     assert f"and not at {100 * found.within[0.01].smallest_violation:.4g} %" in text
 
 

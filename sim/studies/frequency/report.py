@@ -165,7 +165,7 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
     lag, noise = limits.phrases(()), how.noise_text
     without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""
     band, roads, steps = f"{LOWEST:g} to {HIGHEST:g} Hz", HEIGHT.text(amplitude), STEP.text(timestep)
-    yield f"Responses were measured from {band}, on roads of {roads} and in steps of {steps}{without}."
+    yield f"Responses were measured from {band}, with a road amplitude of {roads} and a timestep of {steps}{without}."
     if lines:
         held = how.without_noise.phrases or ("forces held over each timestep",)
         yield (

@@ -119,7 +119,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
     poles = poles[poles.imag >= 0]
     if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
         raise InputError(
-            f"at = {list(one.at)} is not a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
+            f"at = {list(one.at)} does not name a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
     level = np.round(poles.real / np.abs(poles).max(), 9)  # of marginal poles rounding decides no order

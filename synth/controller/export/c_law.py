@@ -224,7 +224,7 @@ def _ranges(
         InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
     """
     if vehicle.dampers:
-        raise InputError("fixed point is for forces, but this vehicle has semi-active dampers; give double or float")
+        raise InputError("fixed point needs force actuators, but this vehicle has semi-active dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
         raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")

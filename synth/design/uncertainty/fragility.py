@@ -284,9 +284,9 @@ def proved_text(report: Fragility, norms: bool = True) -> str:
     proved = report.stable.proved_margin
     text = f"stable with each off by up to {_percents(proved)}, which is proved" if proved else "stability is not proved"
     for share, one in report.within.items() if norms else ():
-        beyond = f", and not at {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
-        text += f"; the norm within {_percents(share)} "
-        text += f"up to {_percents(one.proved_margin)}{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
+        beyond = f", and exceeded at {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
+        proved = f"proved for errors up to {_percents(one.proved_margin)}" if one.proved_margin else "not proved for any error"
+        text += f"; a norm at most {_percents(share)} higher is {proved}{beyond}"
     return text
 
 
