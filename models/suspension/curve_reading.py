@@ -123,11 +123,11 @@ def read_curves(
                 f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         with error_in(f"[curves] {name}:"):
-            entries = entry if isinstance(entry, list) else [entry]
-            surface = parameters[name] is VELOCITY and any(isinstance(one, Mapping) and "deflection" in one for one in entries)
-            if surface and (entries is entry or set(FRICTION) & set(entry)):
+            tables = [one for one in (entry if isinstance(entry, list) else [entry]) if isinstance(one, Mapping)]
+            surface = parameters[name] is VELOCITY and any("deflection" in one for one in tables)
+            if surface and (isinstance(entry, list) or set(FRICTION) & set(entry)):
                 raise InputError("a position-dependent damper cannot have friction, or other elements next to it; give it alone")
-            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
+            curves[name] = surface_from(tables[0]) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
     return curves
 
 
