@@ -275,6 +275,14 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> S
         if isinstance(spring, StopTable):
             with error_in(f"{side}:"):
                 stop = stop_of(spring, sign, length)
+                if stop is None and isinstance(stiffness, StopPair):
+                    here, there = ("compression", "extension")[:: -int(sign)]
+                    own = ", or also give suspension_stroke if it is over the compression of the stop itself"
+                    raise InputError(
+                        f"its table has no force in {here}, only in {there}; give it over {here}{own if sign > 0 else ''}"
+                    )
+        elif length is None and spring is not None and isinstance(stiffness, StopPair):
+            raise InputError(f"{side}: has a stiffness, but suspension_stroke has no {side}; give both or neither")
         elif length is not None and spring is not None:
             stop = Stop(length, _coefficients(spring))
         both.append(stop or Stop(math.inf, (0.0, 0.0, 0.0)))
@@ -328,8 +336,12 @@ def _stop_table(value: Mapping[str, Any]) -> StopTable:
     # A log has tuples.
     x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, DEFLECTION)
     x, force = -x[::-1], -force[::-1]
+    if not force.any():
+        raise InputError("has a table without a force against bump or rebound")
+    if x[-1] < 0 and not force[-1]:
+        x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop that begins with contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
-    _ = table.curve if np.abs(force).max() > 0 else None  # it can be fewer lines
+    _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
     return table
 
 
@@ -397,8 +409,8 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
                     where = f" of {corner}" if corner else ""
                     raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness does not; give it there, too")
         with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
-            if isinstance(stiffness, StopTable) and not stops(stroke, stiffness).sides:
-                raise InputError("has a table without a force against bump or rebound")
+            if stiffness is not None:
+                stops(stroke, stiffness)
     return tuple(places)
 
 

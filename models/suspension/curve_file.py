@@ -20,7 +20,7 @@ from models.common.files import origin, reading
 from models.common.quantities import QUANTITIES, Heading
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
-from models.common.units import unit_size
+from models.common.units import QUANTITY, unit_size
 from models.suspension import RATIO, STOP, STOP_NAMES
 from models.suspension.measured_loop import mean_of_loop
 from models.suspension.surface_table import surface_columns
@@ -71,8 +71,9 @@ def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]
 
 
 def _naming(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields the entries at and below a path that name files; with `texts` a text is the name of a file."""
-    if _named(entry) or (texts and isinstance(entry, str)) or (isinstance(entry, list) and any(map(_named, entry))):
+    """Yields the entries at and below a path that name files; with `texts` a text names a file, unless it is a quantity."""
+    named = isinstance(entry, str) and texts and not _is_quantity(entry)
+    if named or _named(entry) or (isinstance(entry, list) and any(map(_named, entry))):
         yield path, entry
     elif isinstance(entry, dict):
         for name, one in entry.items():
@@ -81,6 +82,12 @@ def _naming(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[
 
 def _named(entry: Any) -> bool:
     return isinstance(entry, dict) and "file" in entry
+
+
+def _is_quantity(text: str) -> bool:
+    """Returns True if a text is a number with a unit of any dimension."""
+    match = QUANTITY.fullmatch(text)
+    return match is not None and unit_size(match[2], match[2]) is not None
 
 
 def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:

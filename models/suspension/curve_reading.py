@@ -74,6 +74,7 @@ SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
 CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
 SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistake
+UNLOADED = 0.01  # of a spring's largest pull: a table that carries less has its signs reversed
 MOST_SLOPE, MOST_PRELOAD = 1e12, 1e7  # N/m or N s/m, and N
 SMALLEST_FRICTION, LARGEST_FRICTION = 1e-3, 1e5  # N
 SMALLEST_CREEP, LARGEST_CREEP = 1e-4, 1.0  # m/s
@@ -122,8 +123,11 @@ def read_curves(
                 f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         with error_in(f"[curves] {name}:"):
-            surface = parameters[name] is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
-            curves[name] = surface_from(entry) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
+            tables = [one for one in (entry if isinstance(entry, list) else [entry]) if isinstance(one, Mapping)]
+            surface = parameters[name] is VELOCITY and any("deflection" in one for one in tables)
+            if surface and (isinstance(entry, list) or set(FRICTION) & set(entry)):
+                raise InputError("a position-dependent damper cannot have friction, or other elements next to it; give it alone")
+            curves[name] = surface_from(tables[0]) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
     return curves
 
 
@@ -219,10 +223,11 @@ def _carrying(x: Array, force: Array, load: float) -> float:
     left = force + load
     for i in np.flatnonzero((left[:-1] <= 0) & (left[1:] >= 0))[:1].tolist():
         return float(np.interp(0.0, left[i : i + 2], x[i : i + 2]))
-    raise InputError(
-        f"its table carries {max(0.0, float(-force.max())):.6g} to {max(0.0, float(-force.min())):.6g} N, and {load:.6g} N rest "
-        "on it; extend the table, or correct preload"
-    )
+    low, high = (max(0.0, float(each)) for each in (-force.max(), -force.min()))
+    do = "extend the table, or correct preload"
+    if high < UNLOADED * force.max():
+        do = "if its deflections are positive in compression, call them compression"
+    raise InputError(f"its table carries {low:.6g} to {high:.6g} N, and {load:.6g} N rest on it; {do}")
 
 
 def _knots(parts: Sequence[Array]) -> Array:

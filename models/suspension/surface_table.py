@@ -113,12 +113,6 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         raise InputError(f"its first cell is {quoted(corner)}; write the quantities with their units there: {FIRST_CELL}")
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}
-    for name in NAMES[:2]:
-        if not (directions[name] or name in of[name][0].words):
-            raise InputError(
-                f"{quoted(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
-            )
-    along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     numbers = table.numbers()[0]
     if across is None:
         columns = {name: numbers[:, found[0].column - 1] for name, found in of.items()}
@@ -131,6 +125,12 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
             raise InputError(f"has {len(numbers)} rows for {len(v)} velocities and {len(d)} deflections; give each pair once")
     else:
         v, d, force = numbers[:, 0], across, numbers[:, 1:]
+    for name in NAMES[:2]:
+        if not (directions[name] or name in of[name][0].words):
+            raise InputError(
+                f"{quoted(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
+            )
+    along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force
     d = -d if directions["deflection"] < 0 else d
     i, j = np.argsort(v, kind="stable"), np.argsort(d, kind="stable")

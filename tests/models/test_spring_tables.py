@@ -84,7 +84,7 @@ ELEMENTS = """[
 ]"""
 STOPS = """[limits.stop]
 bump = { compression = [2e-5, 6e-5, 1e-4], force = [0, 4, 16] }
-rebound = { deflection = [0, 1e-5, 5e-5], force = [0, 0, 6] }
+rebound = { deflection = [1e-5, 5e-5], force = [0, 6] }
 """
 
 
@@ -172,7 +172,7 @@ def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ('"bump.csv"\nsuspension_stroke = 0.07', "its table has a gap of 0.02 m, and suspension_stroke is 0.07 m; omit one"),
+        ('"bump.csv"\nsuspension_stroke = 0.07', "its table has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one"),
         ("{ compression = [0, 0.01], force = [0, 500] }", "pushes back with 500 N at 0.01 m, without a point of contact"),
         ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
         ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its force falls to 400 N at its end"),
@@ -186,6 +186,56 @@ def test_a_stop_that_is_none(tmp_path, more, said):
     """Whatever is wrong with a stop's table is one line that says what, and what to give."""
     with refused(said, "[limits]"):
         read_with(tmp_path, f"[limits]\nstop = {more}", bump=STOP)
+
+
+OVER_COMPRESSION, OVER_EXTENSION = "compression [mm],force [N]\n70,0\n80,1000\n", "extension [mm],force [N]\n70,0\n80,1000\n"
+OWN = "suspension_stroke = { rebound = 0.07 }\n"
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        'stop = { rebound = "over_extension.csv" }',
+        f"{OWN}stop = {{ rebound = {{ compression = [0, 0.01], force = [0, 1e3] }} }}",
+        f'{OWN}stop = {{ rebound = "100 N/mm" }}',
+        'stop = { bump = "over_compression.csv", rebound = "100 N/mm" }\nsuspension_stroke = { rebound = "7 cm" }',
+    ],
+)
+def test_a_rebound_stop_is_the_same_in_each_form(tmp_path, more):
+    """A stop that begins at 70 mm and has 100 N/mm pulls alike from a table of either kind and from a number with a unit."""
+    files = {"over_compression": OVER_COMPRESSION, "over_extension": OVER_EXTENSION}
+    vehicle = read_with(tmp_path, f"[limits]\n{more}", **files)
+    (stops,) = vehicle.limits.stops(vehicle.kind.suspensions).values()
+    assert stops.pull(np.array([0.0, 0.07, 0.075, 0.09])).tolist() == pytest.approx([0, 0, 500, 2000], abs=1e-9)
+
+
+GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n0,0,0\n1,4000,3000\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('[limits]\nstop = { rebound = "c.csv" }', "rebound: its table has no force in extension, only in compression"),
+        ('[limits]\nstop = { bump = "e.csv" }', "bump: its table has no force in compression, only in extension"),
+        (
+            '[limits]\nstop = { bump = "c.csv", rebound = "c.csv" }',
+            "or also give suspension_stroke if it is over the compression",
+        ),
+        ("[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }", "without a point of contact before"),
+        (
+            "[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1e5 }",
+            "suspension_stroke has no rebound",
+        ),
+        ('[curves]\nsuspension_stiffness = { file = "s.csv", preload = true }', "positive in compression, call them compression"),
+        ('[curves]\nsuspension_damping = [300, { file = "grid.csv" }]', "a position-dependent damper cannot have friction, or"),
+        ('[curves]\nsuspension_damping = { file = "grid.csv", friction = 50 }', "other elements next to it; give it alone"),
+    ],
+)
+def test_a_table_that_cannot_act_as_given_is_refused(tmp_path, more, said):
+    """A stop on the side where its table has no force, reversed signs, or what adds to a table of two arguments: one line."""
+    tables = {"c": OVER_COMPRESSION, "e": OVER_EXTENSION, "s": "deflection [mm],force [N]\n0,0\n250,8800\n", "grid": GRID}
+    with refused(said):
+        read_with(tmp_path, more, **tables)
 
 
 def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
@@ -219,7 +269,8 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
         read_with(tmp_path, OF_FILE, a=SPRING)
 
 
-def test_a_measured_loop_is_its_mean(tmp_path, capsys):
+@pytest.mark.parametrize("first", [0, 1], ids=["with time", "without time"])
+def test_a_measured_loop_is_its_mean(tmp_path, capsys, first):
     """Points that go round, of a sine test with gas, noise and hysteresis, are their mean, and the hysteresis is reported."""
     rng, turn = np.random.default_rng(0), 2 * np.pi * np.arange(3000) / 1000
 
@@ -228,10 +279,10 @@ def test_a_measured_loop_is_its_mean(tmp_path, capsys):
 
     force = mean(0.6 * np.sin(turn)) + 80 * np.cos(turn) + 150 + rng.normal(0, 3, len(turn))
     rows = zip(turn / 6.28, -95.5 * np.cos(turn), 600 * np.sin(turn), force, strict=True)
-    sheet = "time [s],displacement [mm],velocity [mm/s],force [N]\n" + "\n".join(
-        ",".join(f"{x:.4f}" for x in row) for row in rows
+    sheet = [["time [s]", "displacement [mm]", "velocity [mm/s]", "force [N]"], *([f"{x:.4f}" for x in row] for row in rows)]
+    vehicle = read_with(
+        tmp_path, '[curves]\nsuspension_damping = { file = "a.csv" }', a="\n".join(",".join(row[first:]) for row in sheet)
     )
-    vehicle = read_with(tmp_path, '[curves]\nsuspension_damping = { file = "a.csv" }', a=sheet)
     curve, x = vehicle.curves["suspension_damping"], np.linspace(-0.59, 0.59, 119)
     assert np.abs(curve(x) - mean(x)).max() < 0.01 * 1776  # 0.5 % of thinning, and noise
     (note,) = vehicle.doubts
