@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from models.suspension.damper import Damper
     from models.suspension.motion_ratio import RatioTable
     from models.vehicle.limits_and_implementation import Limits
+    from models.vehicle.vehicle import Vehicle
     from models.vehicle.weighted_errors import WeightedErrors
 
 
@@ -233,6 +234,20 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
                 f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
             )
     return notes
+
+
+def ratio_doubts(vehicle: "Vehicle") -> list[str]:
+    """Returns warnings on bump stops that begin beyond the table of a motion ratio, where the ratio is constant."""
+    doubts = dict[str, None]()
+    for part in vehicle.kind.suspensions:
+        table, stops = vehicle.kind.ratios.get(part.ratio), vehicle.stops.get(part.deflection)
+        for side, (sign, stop) in stops.sides.items() if table is not None and stops is not None else ():
+            end = float(max(sign * table.x))
+            if stop.stroke > end:
+                begins = f"the {side} stop begins at {sign * stop.stroke:.3g} m at the wheel"
+                said = f"{part.ratio}: its table ends at {sign * end:g} m, and {begins}; the ratio is constant beyond the table"
+                doubts[f"{said}: extend it to the stop"] = None
+    return list(doubts)
 
 
 def dampers_of(
