@@ -241,7 +241,9 @@ def ratio_doubts(vehicle: "Vehicle") -> list[str]:
     doubts = dict[str, None]()
     for part in vehicle.kind.suspensions:
         table, stops = vehicle.kind.ratios.get(part.ratio), vehicle.stops.get(part.deflection)
-        for side, (sign, stop) in stops.sides.items() if table is not None and stops is not None else ():
+        if table is None or stops is None:
+            continue
+        for side, (sign, stop) in stops.sides.items():
             end = float(max(sign * table.x))
             if stop.stroke > end:
                 begins = f"the {side} stop begins at {sign * stop.stroke:.3g} m at the wheel"
