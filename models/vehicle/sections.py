@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.motion_ratio import RatioTable
     from models.vehicle.limits_and_implementation import Limits
-    from models.vehicle.vehicle import Vehicle
     from models.vehicle.weighted_errors import WeightedErrors
 
 
@@ -236,17 +236,17 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
     return notes
 
 
-def ratio_doubts(vehicle: "Vehicle") -> list[str]:
+def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]:
     """Returns warnings on bump stops that begin beyond the table of a motion ratio, where the ratio is constant."""
     doubts = dict[str, None]()
-    for part in vehicle.kind.suspensions:
-        table, stops = vehicle.kind.ratios.get(part.ratio), vehicle.stops.get(part.deflection)
+    for part in kind.suspensions:
+        table, stops = kind.ratios.get(part.ratio), stopped.get(part.deflection)
         if table is None or stops is None:
             continue
         for side, (sign, stop) in stops.sides.items():
             end = float(max(sign * table.x))
             if stop.stroke > end:
-                begins = f"the {side} stop begins at {sign * stop.stroke:.3g} m at the wheel"
+                begins = f"the {side} stop begins at {sign * round(stop.stroke, 4):g} m at the wheel"
                 said = f"{part.ratio}: its table ends at {sign * end:g} m, and {begins}; the ratio is constant beyond the table"
                 doubts[f"{said}: extend it to the stop"] = None
     return list(doubts)

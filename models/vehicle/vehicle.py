@@ -233,7 +233,7 @@ class Vehicle(Shown):
         for part in self.kind.suspensions:
             if part.ratio in self.parameters and wheel.get(part.ratio) != self.parameters[part.ratio]:
                 units = ((part.stiffness, "N/m"), (part.damping, "N s/m"))
-                rates = " and ".join(f"{wheel[name]:.5g} {unit}" for name, unit in units if name in wheel)
+                rates = " and ".join(f"{wheel[name]:g} {unit}" for name, unit in units if name in wheel)
                 where = " at equilibrium" if part.ratio in self.kind.ratios else ""
                 notes[f"{part.ratio} {self.parameters[part.ratio]:g}{where}: {rates} at the wheel"] = None
         springs = [one for one in self.fitted if not one.damps] if self.kind.ratios else []
@@ -462,7 +462,11 @@ class Vehicle(Shown):
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         units = unit_doubts(self.kind.at_wheels(self.parameters), self.limits)
-        return [*units, *curve_notes(curves, self.kind, self.parameters), *(ratio_doubts(self) if self.kind.ratios else [])]
+        return [
+            *units,
+            *curve_notes(curves, self.kind, self.parameters),
+            *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
+        ]
 
     @property
     def controller_names(self) -> tuple[str, ...]:

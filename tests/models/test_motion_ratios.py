@@ -317,13 +317,13 @@ def test_rates_at_the_wheel_are_printed():
     text = re.sub("^suspension_stiffness = .*", f"suspension_stiffness = {k}", text, flags=re.M)
     text = re.sub("^suspension_damping = .*", f"suspension_damping = {c}", text, flags=re.M)
     fixed = parse_vehicle(text.replace("[parameters]", f"[parameters]\nmotion_ratio = {r}", 1))
-    assert fixed.ratio_notes == [f"motion_ratio 0.6: {k * r**2:.5g} N/m and {c * r**2:.5g} N s/m at the wheel"]
+    assert fixed.ratio_notes == [f"motion_ratio 0.6: {k * r**2:g} N/m and {c * r**2:g} N s/m at the wheel"]
     assert fixed.ratio_notes[0] in repr(fixed)
     assert not parse_vehicle(text).ratio_notes
     turning = parse_vehicle(text + "\n[curves]\nmotion_ratio = { deflection = [-0.1, 0.0, 0.1], ratio = [0.7, 0.6, 0.5] }\n")
     preload = turning.parameters["sprung_mass"] * 9.81 / r
     at_wheel, lines = turning.ratio_notes
-    assert at_wheel == f"motion_ratio 0.6 at equilibrium: {k * r**2 + preload:.5g} N/m and {c * r**2:.5g} N s/m at the wheel"
+    assert at_wheel == f"motion_ratio 0.6 at equilibrium: {k * r**2 + preload:g} N/m and {c * r**2:g} N s/m at the wheel"
     assert re.fullmatch(r"suspension_stiffness: .* \d+ straight lines within [\d.]+ %", lines)
 
 
