@@ -19,7 +19,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter, measure
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
-from tests.support.commands import main_of, refused
+from tests.support.commands import main_of, prose, refused
 
 CORNERS = {
     "quarter_car": ("",),
@@ -318,7 +318,7 @@ def test_rates_at_the_wheel_are_printed():
     text = re.sub("^suspension_damping = .*", f"suspension_damping = {c}", text, flags=re.M)
     fixed = parse_vehicle(text.replace("[parameters]", f"[parameters]\nmotion_ratio = {r}", 1))
     assert fixed.ratio_notes == [f"motion_ratio 0.6: {k * r**2:g} N/m and {c * r**2:g} N s/m at the wheel"]
-    assert fixed.ratio_notes[0] in repr(fixed)
+    assert fixed.ratio_notes[0] in prose(repr(fixed))
     assert not parse_vehicle(text).ratio_notes
     turning = parse_vehicle(text + "\n[curves]\nmotion_ratio = { deflection = [-0.1, 0.0, 0.1], ratio = [0.7, 0.6, 0.5] }\n")
     preload = turning.parameters["sprung_mass"] * 9.81 / r
