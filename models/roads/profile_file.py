@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.quantities import Heading, check_unit_options
@@ -30,6 +31,8 @@ RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "
 SAY = "give the columns, as in :columns=1,3 or :columns=1,3,4, or correct the headings, or begin other lines with #"
 A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
+STEPPED = "a step was given, and there are distances or more than two columns of heights; give :columns=2, or no step"
+LIKE_DISTANCE = (0.2, 5.0)  # slopes of a column over its row's distance, in any units of length, that no road has all along
 FORMAT = "give two columns, distance and height [m], or three, distance, left and right; or heights alone, with :step=0.25"
 
 
@@ -81,6 +84,8 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
         step = setting("step", given["step"], "m")
         if not step > 0:
             raise InputError(f"step = {given['step']!r} is not allowed; give the spacing of the heights, as in step=0.25")
+        if len(used) == 2 and not wanted and not headings[used[0]].quantity and _is_distance(points[:, 0], step):
+            raise InputError(STEPPED)
         heights = points[:, [0, -1]] * [scales[0], scales[-1]]
         check_points(step * np.arange(len(points)), heights, lambda i: f"line {lines[i]}")
         return Profile(step * np.arange(len(points)), heights, speed, source)
@@ -118,9 +123,7 @@ def choose_columns(
         heights = [names.index(name) for name in ("left", "right", "height") if name in names]
         used = wanted or heights[:2] or range(len(headings))
         if len(used) > 2 or (not wanted and "distance" in names):
-            raise InputError(
-                "a step was given, and there are distances or more than two columns of heights; give :columns=2, or no step"
-            )
+            raise InputError(STEPPED)
         return used
     if not wanted and {"distance", "left", "right"} <= {*names}:
         return [names.index(name) for name in ("distance", "left", "right")]
@@ -174,13 +177,26 @@ def rdf_text(text: str) -> str:
     marks = [i for i, line in enumerate(lines) if line.upper() == RDF]
     if not marks:
         raise InputError(f"has no table {RDF} of distance, left and right height; give the whole file")
-    unit = values.get("LENGTH", "m")
+    for name, value in values.items():
+        if name.startswith("ROTATION") and not re.fullmatch(r"[+-]?0*\.?0*(e[+-]?\d+)?", value):
+            raise InputError(f"{name} = {value} turns the road, which is not read; give a road along x, with 0")
+    unit = values.get("LENGTH", "")
+    if not unit:
+        raise InputError("has no LENGTH in [UNITS]; give the unit of its table, as in LENGTH = 'meter'")
     begin, length = marks[0] + 1, RDF_UNITS.get(unit, unit)
     rows = itertools.takewhile(lambda line: not line.startswith(("[", "(")), lines[begin:])
     numbers = ["" if line.startswith("{") else line for line in rows]
     count = max((len(line.split()) for line in numbers), default=0)
     names = ["distance", "left", "right"] if count == 3 else ["distance", "height"]
     return "\n" * (begin - 1) + "\t".join(f"{name} [{length}]" for name in names) + "\n" + "\n".join(numbers)
+
+
+def _is_distance(column: Array, step: float) -> bool:
+    """Returns True for values that rise evenly, by about the step [m] in some unit: of no road, but of its distances."""
+    rises = np.diff(column)
+    mean = float(rises.mean()) if len(rises) else 0.0
+    low, high = LIKE_DISTANCE
+    return low * step < mean < high * step and bool((np.abs(rises - mean) < mean / 2).all())
 
 
 def _check_commas(table: NumberTable) -> None:

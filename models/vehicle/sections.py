@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
+    from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.motion_ratio import RatioTable
@@ -235,6 +236,22 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
                 f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
             )
     return notes
+
+
+def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]:
+    """Returns warnings on bump stops that begin beyond the table of a motion ratio, where the ratio is constant."""
+    doubts = dict[str, None]()
+    for part in kind.suspensions:
+        table, stops = kind.ratios.get(part.ratio), stopped.get(part.deflection)
+        if table is None or stops is None:
+            continue
+        for side, (sign, stop) in stops.sides.items():
+            end = float(max(sign * table.x))
+            if stop.stroke > end:
+                begins = f"the {side} stop begins at {sign * round(stop.stroke, 4):g} m at the wheel"
+                said = f"{part.ratio}: its table ends at {sign * end:g} m, and {begins}; the ratio is constant beyond the table"
+                doubts[f"{said}: extend it to the stop"] = None
+    return list(doubts)
 
 
 def dampers_of(

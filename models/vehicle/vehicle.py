@@ -35,6 +35,7 @@ from models.vehicle.sections import (
     curves_and_parameters,
     dampers_of,
     in_si_units,
+    ratio_doubts,
     read_performance,
     read_sampled,
     read_sums,
@@ -226,6 +227,19 @@ class Vehicle(Shown):
         return stops
 
     @property
+    def ratio_notes(self) -> list[str]:
+        """The rates at the wheel of every motion ratio, and the curves that approximate one over travel; empty without any."""
+        wheel, notes = self.kind.at_wheels(self.parameters), dict[str, None]()
+        for part in self.kind.suspensions:
+            if part.ratio in self.parameters and wheel.get(part.ratio) != self.parameters[part.ratio]:
+                units = ((part.stiffness, "N/m"), (part.damping, "N s/m"))
+                rates = " and ".join(f"{wheel[name]:g} {unit}" for name, unit in units if name in wheel)
+                where = " at equilibrium" if part.ratio in self.kind.ratios else ""
+                notes[f"{part.ratio} {self.parameters[part.ratio]:g}{where}: {rates} at the wheel"] = None
+        springs = [one for one in self.fitted if not one.damps] if self.kind.ratios else []
+        return list(notes | {f"{one.parameter}: {one.curve.words}": None for one in springs})
+
+    @property
     def shown(self) -> Document:
         """Vehicle type and file, then parameters, weights and controllers."""
         units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
@@ -233,6 +247,7 @@ class Vehicle(Shown):
             f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}",
             {
                 "parameters": ", ".join(f"{name} {value:g} {units[name]}".rstrip() for name, value in self.parameters.items()),
+                **({"with motion ratios": "; ".join(notes)} if (notes := self.ratio_notes) else {}),
                 "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
                 "controllers": ", ".join(("passive", "state", *self.controllers)),
             },
@@ -446,7 +461,12 @@ class Vehicle(Shown):
         """Questions about numbers that are probably not in SI units, and remarks on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        return [*unit_doubts(self.kind.at_wheels(self.parameters), self.limits), *curve_notes(curves, self.kind, self.parameters)]
+        units = unit_doubts(self.kind.at_wheels(self.parameters), self.limits)
+        return [
+            *units,
+            *curve_notes(curves, self.kind, self.parameters),
+            *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
+        ]
 
     @property
     def controller_names(self) -> tuple[str, ...]:

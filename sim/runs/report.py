@@ -169,6 +169,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         controller.text,
         *([claims(controller), certificate.own.words] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
+        *vehicle.ratio_notes,
         *filter_lines(vehicle),
         *growth_lines(vehicle, controller),
         *controller_remarks(controller),

@@ -436,7 +436,7 @@ OFFSET = 0
 1031 50 50
 5000 0 0
 [OTHER]
-NUMBER = 3
+ROTATION = 0.0
 """
 
 
@@ -452,10 +452,29 @@ def test_poly_line(tmp_path):
         ("(XZ_DATA)", "", "has no table (XZ_DATA)"),
         ("1020 -100", "1020 x", "line 12, column 2: 'x' is not a finite number"),
         ("'mm'", "'furlong'", "is in 'furlong'; allowed: "),
+        ("LENGTH = 'mm'", "", "has no LENGTH in [UNITS]"),
+        ("OFFSET = 0", "ROTATION_ANGLE_XY_PLANE = 90 $ degrees", "ROTATION_ANGLE_XY_PLANE = 90 turns the road"),
     ):
         (tmp_path / "road.rdf").write_text(RDF.replace(old, new))
         with refused(said):
             choose_road("road.rdf", tmp_path)
+
+
+def test_a_step_and_distances(tmp_path):
+    """Two columns without headings are two tracks, but not if the first rises evenly by about the step, in m or ft."""
+    x, z = 478.0 + 0.25 * np.arange(40), np.cumsum(np.random.default_rng(1).normal(0, 0.003, (40, 2)), axis=0)
+    for distance in (x, x / 0.3048):
+        np.savetxt(tmp_path / "road.txt", np.column_stack([distance, z[:, 1]]), "%.4f")
+        with refused("a step was given, and there are distances"):
+            choose_road("road.txt:step=0.25", tmp_path)
+    second = choose_road("road.txt:step=0.25:columns=2", tmp_path).profile
+    rising = z + 0.1 * (x - x[0])[:, None]  # a steep hill
+    np.savetxt(tmp_path / "road.txt", rising, "%.9f")
+    both = choose_road("road.txt:step=0.25", tmp_path).profile
+    assert second is not None
+    assert both is not None
+    np.testing.assert_allclose(second.heights, z[:, [1, 1]], atol=1e-4)
+    np.testing.assert_allclose(both.heights, rising, atol=1e-8)
 
 
 def test_a_public_rough_road(tmp_path):

@@ -19,6 +19,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter, measure
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
+from tests.support.commands import main_of, prose, refused
 
 CORNERS = {
     "quarter_car": ("",),
@@ -316,6 +317,42 @@ def test_a_stop_keeps_the_ratio_at_which_it_begins():
     assert travel_at(-bump.stroke) == pytest.approx(-0.03, rel=1e-12)
     assert float(bump.acts(np.array(1e-3))) == pytest.approx(100.0 * ratio_at(-bump.stroke) ** 2, rel=1e-12)
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
+    assert not vehicle.doubts
+    far = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
+    assert len(far) == 1
+    assert "ends at 0.08 m, and the rebound stop begins at 0.10" in far[0]
+
+
+def test_rates_at_the_wheel_are_printed():
+    """Those of 0.6 and of a ratio over travel, whose spring's rate contains its preload, and the lines of such a spring."""
+    k, c, r = 39403.55, 1302.95, 0.6  # N/m, N s/m
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    text = re.sub("^suspension_stiffness = .*", f"suspension_stiffness = {k}", text, flags=re.M)
+    text = re.sub("^suspension_damping = .*", f"suspension_damping = {c}", text, flags=re.M)
+    fixed = parse_vehicle(text.replace("[parameters]", f"[parameters]\nmotion_ratio = {r}", 1))
+    assert fixed.ratio_notes == [f"motion_ratio 0.6: {k * r**2:g} N/m and {c * r**2:g} N s/m at the wheel"]
+    assert fixed.ratio_notes[0] in prose(repr(fixed))
+    assert not parse_vehicle(text).ratio_notes
+    turning = parse_vehicle(text + "\n[curves]\nmotion_ratio = { deflection = [-0.1, 0.0, 0.1], ratio = [0.7, 0.6, 0.5] }\n")
+    preload = turning.parameters["sprung_mass"] * 9.81 / r
+    at_wheel, lines = turning.ratio_notes
+    assert at_wheel == f"motion_ratio 0.6 at equilibrium: {k * r**2 + preload:g} N/m and {c * r**2:g} N s/m at the wheel"
+    assert re.fullmatch(r"suspension_stiffness: .* \d+ straight lines within [\d.]+ %", lines)
+
+
+@pytest.mark.parametrize("command", ["sim.bump", "sim.sweep"])
+def test_controllers_that_cannot_run_are_left_out(command, tmp_path, capsys):
+    """With `all`, a car whose ratio changes with travel runs passive, and a line names the others; a named one is refused."""
+    file = tmp_path / "car.toml"
+    file.write_text(over_travel("quarter_car").text)
+    options = ["--vehicle", str(file), *(["--no-logs", "--duration", "0.2"] if command == "sim.bump" else [])]
+    main_of(command)([*options, "--controller", "all"])
+    printed = capsys.readouterr()
+    assert "left out: state; motion_ratio changes with travel in [curves]" in printed.err
+    assert "passive" in printed.out
+    assert "state" not in printed.out
+    with refused("controller 'state' pushes through motion_ratio"):
+        main_of(command)([*options, "--controller", "state"])
 
 
 def test_ratios_that_are_not_allowed_are_refused(tmp_path):
