@@ -161,7 +161,7 @@ def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """The promise of the table is kept by the command that it names: each norm falls by at least as much; none for state."""
     assert main(["--vehicle", vehicle, "-v"]) == 0
     text = capsys.readouterr().out
-    promised = {name: float(share) for name, share in re.findall(r"(\w+) by ([\d.e+-]+) % or more", prose(text))}
+    promised = {name: float(share) for name, share in re.findall(r"(\w+) by at least ([\d.e+-]+) %", prose(text))}
     code, before = table(capsys, "--vehicle", vehicle)
     assert code == 0
     for row in before["controllers"]:

@@ -272,7 +272,7 @@ def test_a_law_too_fast_for_its_period():
         InputError, match=r"controller 'one' changes its states too fast to be run every 0.01 s: .*B has an entry"
     ):
         sampled(vehicle, controller, 0.01)
-    assert any("Tustin transform" in line for line in judged_lines(controller))
+    assert any("Tustin" in line for line in judged_lines(controller))
     faster = built(law.replace("5e13", "1e15"), section=section, with_what="[implementation]\nsample_period = 0.01\n")
     with pytest.raises(InputError, match=r"\[controllers.one\] of its continuous counterpart \(Tustin\), B has an entry"):
         Designer(faster).design("one")

@@ -98,7 +98,7 @@ def test_a_sample_period_comes_with_it(tmp_path):
     ("more", "said"),
     [
         ({"E": np.array([[2.0, 0.0], [0.0, 1.0]])}, "has an E that is not the identity"),
-        ({"InputDelay": np.array([[0.0, 0.1]])}, "has InputDelay above 0, and a law has no delay"),
+        ({"InputDelay": np.array([[0.0, 0.1]])}, "has InputDelay above 0, but a law has no delay"),
         ({"OutputDelay": 0.1, "IODelay": np.array([[0.1, 0.0]])}, "has OutputDelay, IODelay above 0"),
         ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes'; give seconds"),
         ({"A": "ab"}, "A is text"),

@@ -557,7 +557,7 @@ def test_roads_that_cannot_be_driven():
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
-        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "is under the left side, and a quarter_car has only one track"),
+        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "is under the left side, but a quarter_car has only one track"),
         (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
     ):
         with pytest.raises(InputError, match=words):

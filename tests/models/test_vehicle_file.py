@@ -74,7 +74,7 @@ ADDED = {
         ('order = "half"', "order = 'half' is not known; known: full"),
         ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
         ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
-        ('design = "lqr"', 'design = "lqr" is of the state'),
+        ('design = "lqr"', 'design = "lqr" uses the full state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
         ("sampled = true", "mine] has sampled = true, but ", "no sample period"),
         (
