@@ -74,7 +74,7 @@ def named_design(
     heard = {"lqg": noise, "h2": Dyw}.get(name)
     beside = {"lqg": ", and sensors have their noise", "h2": ", and sensors have the noise that w contains"}
     best = (
-        f"smallest mean square of z: H2 norm {digits(quadratic.h2_norm)} (rms of z for road velocity of white noise, intensity 1)"
-        f"{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
+        f"smallest mean square of z: H2 norm {digits(quadratic.h2_norm)}, the rms of z for a road velocity of white noise of "
+        f"intensity 1{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
     )
     return NamedDesign(quadratic.law, quadratic.certificate, (best, *([quadratic.remark] if quadratic.remark else [])))
