@@ -49,7 +49,7 @@ curves of dampers and springs, statistical linearisation       2583   2010     5
     sim/linear/{nonlinear_elements,piecewise_linear_steps}.py sim/physics/surface_steps.py sim/runs/force_diagram.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
-bump stops                                                      551    236      0
+bump stops                                                      551    237      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
 loads, links, tyre damping                                      828   1543     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md

@@ -24,9 +24,9 @@ LOADED = {
     "sim.bump --controller I --duration 0.5 --logs DIR": (130, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
     "sim.bump --controller I --no-logs --json": (118, {"mujoco"}),
     "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (120, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (150, {"mujoco", "scipy.special"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (153, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
-        119,
+        121,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),
 }

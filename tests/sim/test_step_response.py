@@ -186,7 +186,7 @@ def test_a_step_that_begins_later():
     for start in (0.0, 0.25):
         (run,) = ran(vehicle, "I", road=Step(height=0.004, edge=0.08, speed=8.0, start=start), duration=1.0 + start)
         metrics.append(measure_step(run, 60.0)["suspension_deflection"].continuous)
-    first, later = map(vars, metrics)
+    first, later = (dict(vars(one)) for one in metrics)
     assert first.pop("settled") == later.pop("settled")
     assert later == pytest.approx(first, rel=1e-9)
 

@@ -139,8 +139,8 @@ def _predicted(
     Curves make the analysis nonlinear, and a loop may lose its stability beyond some height. So with curves the lowest height is
     looked for at which the analysis reaches an end.
     """
-    height, low, high, at_end = abs(bump.height), 0.0, math.inf, None
-    for _ in range(ANALYSES):
+    height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
+    while True:
         road = loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
         response = analysed(vehicle, controller, [road], time).run(0)
         used = shares(vehicle, controller, response)
@@ -151,12 +151,12 @@ def _predicted(
             high, at_end = height, (response, used / (share * height))
         else:
             low = height
-        if high < low * WITHIN**2 or low >= LIMITS["height"][1]:
-            break
+        tried += 1
+        if high < low * WITHIN**2 or low >= LIMITS["height"][1] or tried == ANALYSES:
+            return at_end or (response, used / height)
         nearer, between = height / share, math.sqrt(low * high)
         height = nearer if not 0 < between < math.inf or (abs(share - 1) < 0.5 and low < nearer < high) else between
         height = min(height, LIMITS["height"][1])
-    return at_end or (response, used / height)
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:
