@@ -98,10 +98,6 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
         sensor.userdata = list(length.userdata)
 
 
-# pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
-
-
 def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: Mapping[str, str], mjcf: str, prefix: str) -> None:
     """Replaces actuators that push by adjustable dampers: the control is c - c_s, the force -(c - c_s) v.
 

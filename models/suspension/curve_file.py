@@ -1,8 +1,8 @@
 """Curve files, `file = "damper.csv"` or `stop = "bump.csv"`: the table replaces the name when a vehicle file is read.
 
-So a vehicle that was read needs no other files, as with laws and families. Two formats are known: CSV, whose header names
-quantity and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the
-TeimOrbit format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the
+So a vehicle that was read needs no other files, as with laws and families. Tables, as CSV, `.xlsx` or `.mat`, have a header with
+quantity and unit of each column, `velocity [mm/s], force [kN]`. Damper property files, `.dpr`, of Adams/Car are in the TeimOrbit
+format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the
 table in `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help,
 READ_T_O_START_TABLE_READ).
 """
