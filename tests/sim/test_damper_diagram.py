@@ -94,4 +94,4 @@ def test_a_report_has_it_where_there_is_something_to_draw(tmp_path):
     page = (tmp_path / "report.html").read_text()
     words = " ".join(unescape(page).split())
     assert "curve: a damper or spring first leaves its linearisation by 10 % of its largest force at" in words
-    assert "Forces of dampers and springs over the paper's bump, with their curves or limits" in words
+    assert "Forces over the paper's bump. Lines: characteristics or limits, and their linearisation." in words
