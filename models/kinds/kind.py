@@ -1,7 +1,7 @@
 """Interface of a kind of vehicle, which `models/<name>.py` must provide, its parameters included."""
 
 import pickle
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -371,11 +371,15 @@ class VehicleKind(Checked):
         rates |= dict.fromkeys((part.ratio for part in parts), 1.0)
         return {name: rate for name, rate in rates.items() if name not in self.ratios}
 
+    def motion_ratios(self, parameters: Parameters, forces: Iterable[str]) -> dict[str, float]:
+        """Returns the motion ratio of each force."""
+        ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
+        return {force: ratios.get(force, 1.0) for force in forces}
+
     def _at_ratios(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model of the kind with its elements at their motion ratios."""
         model = self.linear_model(self.at_wheels(parameters))
-        ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
-        return model.geared(np.array([ratios.get(force, 1.0) for force in model.inputs]))
+        return model.geared(np.array([*self.motion_ratios(parameters, model.inputs).values()]))
 
     def model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""

@@ -214,8 +214,7 @@ class Vehicle(Shown):
     @cached_property
     def motion_ratios(self) -> Mapping[str, float]:
         """Motion ratio of every force, in the order of the linear model's inputs."""
-        ratios = {part.force: part.motion_ratio(self.parameters) for part in self.kind.suspensions}
-        return {force: ratios.get(force, 1.0) for force in self.linear_model.inputs}
+        return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
     @cached_property
     def stops(self) -> "dict[str, Stops]":

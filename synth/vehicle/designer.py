@@ -43,7 +43,7 @@ def no_progress(goal: float, within: bool) -> None:
 NOT_REFINED = "and --refine changes static gains, which have no integral; omit --refine"
 
 
-def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
+def designed(entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
     """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
     beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
@@ -255,7 +255,7 @@ class Designer:
             design = zero_l_design(posed.plant, posed.Cy, lower_bound)
         else:
             design = two_steps_or_descent(posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, posed.Dyw)
-        return designed(self.vehicle, entry, design, posed)
+        return designed(entry, design, posed)
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
