@@ -187,7 +187,7 @@ def test_a_discrete_plant_has_goals_too():
     reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
     assert design.goal == pytest.approx(reached, rel=1e-7)
     assert reached <= norm_in_band(plant, 2.0, 12.0).value
-    with pytest.raises(InputError, match="no decay"):
+    with pytest.raises(InputError, match="for continuous plants only"):
         multi_objective_design(replace(problem, decay=1.0), [])
 
 
