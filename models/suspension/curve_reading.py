@@ -15,7 +15,7 @@ from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension.curve import ForceCurve, slope_at_rest
-from models.suspension.surface_table import surface_from
+from models.suspension.surface import ForceSurface, surface_of
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
@@ -127,7 +127,7 @@ def read_curves(
             surface = parameters[name] is VELOCITY and any("deflection" in one for one in tables)
             if surface and (isinstance(entry, list) or set(FRICTION) & set(entry)):
                 raise InputError("a position-dependent damper cannot have friction, or other elements next to it; give it alone")
-            curves[name] = surface_from(tables[0]) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
+            curves[name] = _surface(tables[0]) if surface else curve_of(entry, parameters[name], lambda name=name: load(name))
     return curves
 
 
@@ -247,33 +247,31 @@ def points(entry: Mapping[str, Any], over: Argument, of: str = "force") -> tuple
     if COMPRESSION in entry and over.name != COMPRESSION:
         x, force = points(entry, replace(over, name=COMPRESSION), of)
         return -x[::-1], (-force if of == "force" else force)[::-1]
-    x, force = _points(entry[over.name], over.name), _points(entry[of], of)
+    x, force = _ascending(entry[over.name], over), _points(entry[of], of)
     if len(x) != len(force):
         raise InputError(f"has {len(x)} values of {over.name} and {len(force)} of {of}; give as many")
-    for i in np.flatnonzero(np.diff(x) <= 0)[:1].tolist():
-        raise InputError(
-            f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
-            f"{over.name}, each once"
-        )
-    for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
-        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; omit one of them")
+    return x, force
+
+
+def _ascending(given: Any, over: Argument) -> Array:
+    """Returns the ascending values of an argument."""
+    x = _points(given, over.name)
+    for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
+        do = f"sort the points by {over.name}, each once" if x[i] >= x[i + 1] else "omit one of them"
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; {do}")
     if max(-x[0], x[-1]) > over.largest:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g}, and at most {over.largest:g} {over.unit} is allowed; "
             f"give {over.unit}, not {over.small}"
         )
-    return x, force
+    return x
 
 
 def _points(given: Any, name: str) -> Array:
     """Returns a list of finite numbers as an array."""
     if not isinstance(given, list) or len(given) < 2:
         count = f"{len(given)} point(s)" if isinstance(given, list) else quoted(given)
-        raise InputError(
-            f"{name} has {count}; give a list of at least two, [N]"
-            if name == "force"
-            else f"{name} has {count}; give a list of at least two"
-        )
+        raise InputError(f"{name} has {count}; give a list of at least two{', [N]' * (name == 'force')}")
     if len(given) > MOST_POINTS:
         raise InputError(f"{name} has {len(given)} points; at most {MOST_POINTS} are read: thin the table")
     for i, value in enumerate(given, 1):
@@ -355,6 +353,35 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
                 "point that ends flat or rising"
             )
     return curve
+
+
+def _surface(entry: Mapping[str, Any]) -> ForceSurface:
+    """Returns a damper's force over velocity and deflection from its table."""
+    over = (VELOCITY, DEFLECTION)
+    names = [*(one.name for one in over), "force"]
+    check_keys("", entry, names)
+    if absent := [name for name in names if name not in entry]:
+        what = "{ velocity = [...], deflection = [...], force = [[...], ...] }, a list of forces for each velocity"
+        raise InputError(f"{absent[0]} is missing; give {what}")
+    v, d = (_ascending(entry[one.name], one) for one in over)
+    rows = entry["force"] if isinstance(entry["force"], list) else []
+    widths = sorted({len(row) if isinstance(row, list) else 1 for row in rows})
+    if len(rows) != len(v) or widths != [len(d)]:
+        raise InputError(
+            f"force has {len(rows)} lists, of {listing(map(str, widths)) or 0} numbers; give {len(v)} lists, one for each "
+            f"velocity, of {len(d)} numbers, one for each deflection"
+        )
+    table = np.array([_points(row, "force") for row in rows])
+    _check_both_sides(v, VELOCITY)
+    if not d[0] <= 0 <= d[-1]:
+        raise InputError(f"deflection goes from {d[0]:g} to {d[-1]:g} m; give a range with equilibrium, deflection 0, in it")
+    columns = []
+    for at, column in zip(d, table.T, strict=True):
+        with error_in(f"at deflection {at:g} m:"):
+            x, force, _ = _from_rest(v, column, VELOCITY)
+            columns.append(_checked(ForceCurve(x, force, slope_at_rest(x, force), ""), VELOCITY).force)
+    words = f"{len(v)} velocities by {len(d)} deflections, at most {np.abs(table).max():g} N"
+    return surface_of(x, d, np.stack(columns, axis=1), words)
 
 
 def _with_friction(curve: ForceCurve, entry: Mapping[str, Any]) -> ForceCurve:
