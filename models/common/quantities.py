@@ -52,8 +52,12 @@ _WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and w
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
 DIRECTIONS: Mapping[str, int] = {  # words of a heading that decide its sign: 1 in extension, -1 in compression
-    **dict.fromkeys(("compression", "comp", "bump", "jounce"), -1),
-    **dict.fromkeys(("extension", "rebound", "reb", "droop"), 1),
+    word: sign
+    for sign, words in (
+        (-1, "compression comp bump bound jounce druck druckkraft druckstufe einfederung einfederweg"),
+        (1, "extension ext rebound reb droop zug zugkraft zugstufe ausfederung ausfederweg détente"),
+    )
+    for word in words.split()
 }
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
@@ -85,7 +89,7 @@ class Heading:
     @property
     def words(self) -> frozenset[str]:
         """The words of its name, in small letters."""
-        return frozenset(re.findall(r"[a-z]+", self.name.lower()))
+        return frozenset(re.findall(r"[^\W\d_]+", self.name.lower()))
 
     @property
     def direction(self) -> int:
@@ -120,6 +124,8 @@ class Heading:
 def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
 
+    Where forces are among the units, pounds are a force.
+
     Args:
         units: units whose dimensions a unit without brackets may have.
         column: number of the column, from 1.
@@ -129,12 +135,18 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
         is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
         if Heading(name=bracket[1]).quantity and not is_unit:
             return Heading(text, text, "", column)  # height (left)
-        return Heading(text, text[: bracket.start()], unit_named(bracket[1]), column)
+        return Heading(text, text[: bracket.start()], _unit_of(bracket[1], units), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
         written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
-        if any(unit_size(written, unit) for unit in units):
-            return Heading(text, text[: gap.start()], unit_named(written), column)
+        if any(unit_size(_unit_of(written, units), unit) for unit in units):
+            return Heading(text, text[: gap.start()], _unit_of(written, units), column)
     return Heading(text, text, "", column)
+
+
+def _unit_of(written: str, units: Collection[str]) -> str:
+    """Returns the usual name of a unit in a heading."""
+    unit = unit_named(written)
+    return "lbf" if unit == "lb" and "N" in units else unit
 
 
 def check_unit_options(settings: Mapping[str, str], options: Mapping[str, str]) -> None:

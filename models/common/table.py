@@ -1,7 +1,7 @@
 """Tables of numbers in text files, spreadsheets and MATLAB files: the one reader of roads, rigs, curves, loads and families.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a decimal
-comma; a table has one decimal mark and no thousands marks. A comment begins with `#`, or its line with `%` or `//`. Just above
+comma; a table has one decimal mark and no thousands marks. A comment begins with `#`, or its line with `%`, `!` or `//`. Above
 the numbers are names and units of the columns: `force [kN]`, `height_cm`, `left / mm`, or units on a line of their own.
 `csv.Sniffer` is not used: it takes the comma of `0,5;0,02` for the separator.
 """
@@ -24,7 +24,8 @@ from models.common.errors import InputError, listing, quoted
 from models.common.quantities import QUANTITIES, Heading, heading_of
 
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
-COMMENT = re.compile(r"\s*(#|%|//)")
+COMMENT = re.compile(r"\s*(#|%|!|//)")
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000, or of thousands
 SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the word before it
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
@@ -84,7 +85,7 @@ class NumberTable:
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
                 raise InputError(f"{found}; begin lines that are not headings with #, or {self.give}")
             if not optional and [other.quantity or other.name for other in headings].count(heading.quantity or heading.name) > 1:
-                raise InputError(f"two columns are called {quoted(heading.name)}; omit one of them")
+                raise InputError(f"two columns are called {quoted(heading.quantity or heading.name)}; omit one of them")
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
@@ -100,6 +101,8 @@ class NumberTable:
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yields the cells of every line of numbers, and its number from 1."""
         for number, line in enumerate(self.lines[self.first :], self.first + 1):
+            if self.separator != ";" and line.lstrip().startswith(";"):
+                continue  # a comment
             if cells := _trimmed(_cells(_uncommented(line), self.separator)):
                 yield number, cells
 
@@ -111,10 +114,11 @@ class NumberTable:
             ragged: True if numbers may follow the last column.
 
         Raises:
-            InputError: a cell is not a finite number, a line has another number of them, or numbers have both decimal marks.
+            InputError: a cell is not a finite number, a line has another number of them, numbers have both decimal marks, or
+                a comma may be either.
         """
         used = columns or range(self.count)
-        lines, values, marked = array("Q"), array("d"), dict[str, str]()
+        lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True
         for line, cells in self.rows():
             if len(cells) <= max(used) or not (ragged or all(_number(cell) is None for cell in cells[self.count :])):
                 there = f"line {line} has {len(cells)} column(s), and line {self.first + 1} has {self.count}"
@@ -124,6 +128,8 @@ class NumberTable:
                 for mark in ".,":
                     if mark in cell and mark not in marked:
                         marked[mark] = f"line {line} has {quoted(cell)}"
+                if "," in cell:
+                    thousands = thousands and THOUSANDS.fullmatch(cell) is not None
                 number = _number(cell)
                 if len(marked) == 2:
                     both = " and ".join(dict.fromkeys(marked.values()))
@@ -131,7 +137,10 @@ class NumberTable:
                 if number is None or not math.isfinite(number):
                     raise InputError(f"line {line}, column {column + 1}: {quoted(cell)} is not a finite number; {self.give}")
                 values.append(number)
+                integers = integers or (number != 0 and "," not in cell)
             lines.append(line)
+        if [*marked] == [","] and thousands and integers:
+            raise InputError(f"{marked[',']}, which may be thousands; write numbers without thousands marks, decimals with a dot")
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
     def quantities(self, known: Sequence[str]) -> dict[str, Array]:
@@ -154,10 +163,11 @@ class NumberTable:
 
 
 def table_text(path: Path) -> str:
-    """Returns a file's text; of a spreadsheet (.xlsx) its first sheet, of a MATLAB file (.mat) its arrays, as lines with tabs.
+    """Returns a file's text; of a spreadsheet (.xlsx) the sheet with a table, or else the first one, of a MATLAB file (.mat) its
+    arrays, as lines with tabs.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, or a MATLAB file has no table.
+        InputError: the package for spreadsheets is not installed, several sheets have a table, or a MATLAB file has none.
     """
     suffix = path.suffix.lower()
     if suffix == ".xlsx":
@@ -165,8 +175,22 @@ def table_text(path: Path) -> str:
             from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
         except ImportError:
             raise InputError("a spreadsheet needs python-calamine; pip install 'roadproof[excel]', or save it as .csv") from None
-        return _tabbed(CalamineWorkbook.from_path(str(path)).get_sheet_by_index(0).to_python())
+        book = CalamineWorkbook.from_path(str(path))
+        sheets = {
+            one.name: book.get_sheet_by_name(one.name).to_python() for one in book.sheets_metadata if "Work" in str(one.typ)
+        }
+        tables = [name for name, rows in sheets.items() if sum(_has_numbers(row) for row in rows) > 1]
+        if len(tables) > 1:
+            raise InputError(
+                f"has tables in the sheets {listing(tables)}; which one is it? Delete the others, or save it as .csv"
+            )
+        return _tabbed(sheets[(tables or [*sheets])[0]])
     return _tabbed(_matlab_rows(path.read_bytes())) if suffix == ".mat" else path.read_text(encoding="utf-8-sig")
+
+
+def _has_numbers(row: Sequence[Any]) -> bool:
+    """Returns True for two numbers or more in a row of a spreadsheet."""
+    return sum(isinstance(cell, (int, float)) for cell in row) > 1
 
 
 def _tabbed(rows: Iterable[Sequence[Any]]) -> str:

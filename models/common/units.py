@@ -19,7 +19,7 @@ SIZES: Mapping[tuple[int, int, int], Mapping[str, float]] = {
     (0, 0, 1): TIME | {"min": 60.0, "h": 3600.0},
     (0, 1, -1): {"mph": 0.44704},
     (0, 1, -2): {"g": 9.80665, "mg": 9.80665e-3},
-    (1, 1, -2): FORCE,
+    (1, 1, -2): FORCE | {"kgf": 9.80665},
     (1, 2, -2): {"J": 1.0},
     (0, 0, -1): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
     (0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
@@ -30,7 +30,7 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
     **{word: unit for unit, words in {
         "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
         "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force",
-        "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "lb": "lbs", "N s": "ns", "kN s": "kns",
+        "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "in/s": "ips", "lb": "lbs", "N s": "ns", "kN s": "kns",
         "deg": "° degree degrees",
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",

@@ -27,7 +27,13 @@ from models.suspension.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 ARGUMENTS = ("velocity", "deflection")
-ROLES = {"force": {"force", "load"}, "velocity": {"velocity", "speed"}, "deflection": {"deflection"}}  # words of each column
+SIGNED = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}  # in extension
+ROLES = {  # words of each column
+    "force": {"force", "load", "kraft", "effort"},
+    "velocity": {*SIGNED["velocity"], "speed"} - {"v"},
+    "deflection": {"deflection"},
+}
+GAS = 0.02  # of the largest force: differences at rest that are no gas
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
 
@@ -145,8 +151,8 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     if not known and {*roles} & ({*ARGUMENTS} - {wanted}):
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
-    told = {wanted, "compression"} if over == "compression" else {wanted}
-    if not sheet and not any(one.direction or told & one.words for one in headings):
+    told = {"deflection", "compression"} if over == "compression" else SIGNED[wanted]
+    if not sheet and not any(one.direction or told & one.words for one in (*known, *forces)):
         asked = next((one for one, role in zip(headings, roles, strict=True) if role != "force"), headings[0])
         raise InputError(
             f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
@@ -154,7 +160,8 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
         )
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
-        raise InputError(f"has the columns {listing(one.name for one in headings)}; give two, {over or wanted} and force")
+        columns = listing(one.name for one in headings)
+        raise InputError(f"has the columns {columns}; give two, {over or wanted} and force, of one setting")
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]
     x, *values = (numbers * [used[0].scale(wanted), *(one.scale("force") for one in used[1:])]).T
@@ -168,8 +175,11 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
         loop = mean_of_loop(x, force, QUANTITIES[wanted].si, at_rest=wanted == "velocity")
         if loop is not None:
             x, force, note["note"] = loop
-    if x[0] > x[-1]:
-        x, force = x[::-1], force[::-1]
+    order = np.argsort(x, kind="stable")
+    if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():  # a part of a loop is neither
+        x, force = x[order], force[order]
+    different = np.append(True, (np.diff(x) != 0) | (np.diff(force) != 0))
+    x, force = x[different], force[different]
     if over == "compression":
         wanted, x, force = over, -x[::-1], -force[::-1]
     return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist(), **note}  # no -0.0
@@ -205,8 +215,15 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     """Returns velocities and forces of a dynamometer's sheet."""
     if (speed < 0).any():
         raise InputError("has a speed below 0; give speeds from 0 on, with the forces in compression and in rebound")
-    moving = speed > 0
-    v, pushing, pulling = speed[moving], np.abs(compression[moving]), np.abs(rebound[moving])
+    order = np.argsort(speed, kind="stable")
+    v, *forces = (one[order] for one in (speed, compression, rebound))
+    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # either sign is usual
+    for i in np.flatnonzero((np.minimum(pushing, pulling) < 0) | ((v == 0) & (np.abs(pushing - pulling) > GAS * pulling.max())))[
+        :1
+    ]:
+        a, b = (one[i] for one in forces)
+        raise InputError(f"has {a:g} and {b:g} N at {v[i]:g} m/s, as of a gas; subtract its force, part of the spring's preload")
+    v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
 
 

@@ -330,6 +330,16 @@ BUMPS = "bump velocity [m/s], force [N]\n" + "\n".join(
     for v, f in zip([-1.5, -0.6, -0.15, 0, 0.15, 0.6, 1.5], [-1350, -750, -262.5, 0, 262.5, 1000, 1900], strict=True)
 )
 FILES = {"damper.csv": CSV, "damper.dpr": DPR, "ms.dpr": IN_MILLISECONDS, "dyno.csv": SHEET, "bump.csv": BUMPS}
+POINTS = list(zip([-1500, -600, -150, 0, 150, 600, 1500], [-1350, -750, -262.5, 0, 262.5, 1000, 1900], strict=True))
+IN_POUNDS = "".join(f"{v / 25.4!r}\t{f / 4.4482216152605!r}\r\n" for v, f in POINTS)
+FILES |= {  # as test rigs, spreadsheets and engineers write them
+    "pounds.csv": f"\ufeffRun 17\t25\r\nVel (ips)\tForce (lbs)\r\n{IN_POUNDS}",
+    "german.csv": "Dämpfer 3\n\nGeschwindigkeit [mm/s];Kraft [N];;\n"
+    + "".join(f"{v};{f};;\n".replace(".", ",") for v, f in POINTS),
+    "zug.csv": "v [m/s];Druckstufe [N];Zugstufe [N]\n1,5;1350;1900\n0,6;-750;1000\n0,15;-262,5;262,5\n".replace(";-", ";"),
+    "mixed.csv": "! a rig\nvelocity [mm/s],force [N]\n" + "".join(f"{v},{f}\n; part\n\n" for v, f in (POINTS[3], *POINTS[::-1])),
+    "signed.csv": "speed [mm/s],comp force [N],reb force [N]\n1500,-1350,1900\n0,-9,9\n150,-262.5,262.5\n600,-750,1000\n",
+}
 
 
 @pytest.mark.parametrize(("name", "content"), FILES.items())
@@ -343,7 +353,7 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
     vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
     for what in ("x", "force"):
         np.testing.assert_allclose(getattr(vehicle.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
-    assert f"# from '{name}', {len(content)} bytes, SHA-256" in vehicle.text
+    assert f"# from '{name}', {len(content.encode())} bytes, SHA-256" in vehicle.text
     again = parse_vehicle(vehicle.text)
     np.testing.assert_array_equal(again.fitted[0].curve.force, vehicle.fitted[0].curve.force)
     assert tmp_path / name in vehicle.files
@@ -356,6 +366,11 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "has no unit; allowed: N, daN, kN, lbf; write force [N] above it"),
         ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "is in 'km'; allowed: cm/s, ft/s, in/s, m/s, mm/s"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n-1, 10, 10\n1, 20, 20\n", "has a speed below 0; give"),
+        ("a.csv", "speed [m/s], compression [N], rebound [N]\n0, 90, -90\n1, 200, 300\n", "has 90 and -90 N at 0 m/s, as of a"),
+        ("a.csv", "speed [m/s], compression [N], rebound [N]\n1, 190, -10\n2, 200, 300\n", "has 190 and -10 N at 1 m/s, as of a"),
+        ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "give two, velocity and force, of one"),
+        ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "which direction is positive? Write"),
+        ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be thousands; write"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]'; which direction is positive? Write"),
         ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 names its 2 column(s)"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),

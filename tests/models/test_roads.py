@@ -331,30 +331,39 @@ def test_files_of_other_programs(tmp_path):
 
 @pytest.mark.extra
 def test_a_spreadsheet(tmp_path):
-    """The first sheet of an .xlsx file is a table as a text file is one."""
+    """The first sheet of an .xlsx file, or the only one with a table, is a table as a text file is one; two are asked about."""
     pytest.importorskip("python_calamine")
     rows = [["surveyed by hand"], ["distance [m]", "height [mm]"], [0, 0], [0.5, 20.0], [1.0, -10.0], [1.5, 0]]
     (tmp_path / "road.xlsx").write_bytes(spreadsheet(rows))
     found = choose_road("road.xlsx", tmp_path).profile
     assert found is not None
     np.testing.assert_allclose(found.heights[:, 0], [0, 0.02, -0.01, 0])
+    for others in ([["run", 17]], []):
+        (tmp_path / "road.xlsx").write_bytes(spreadsheet(others, rows))
+        again = choose_road("road.xlsx", tmp_path).profile
+        assert again is not None
+        np.testing.assert_array_equal(again.heights, found.heights)
+    (tmp_path / "road.xlsx").write_bytes(spreadsheet(rows, rows))
+    with refused("has tables in the sheets s1, s2; which one is it?"):
+        choose_road("road.xlsx", tmp_path)
 
 
-def spreadsheet(rows) -> bytes:
-    """The least that is an .xlsx file: one sheet with texts in place."""
+def spreadsheet(*sheets) -> bytes:
+    """The least that is an .xlsx file: sheets with texts in place."""
     text, number = '<c t="inlineStr"><is><t>{}</t></is></c>', "<c><v>{}</v></c>"
-    cells = [[(text if isinstance(value, str) else number).format(value) for value in row] for row in rows]
-    body, of = (
-        "".join(f"<row>{''.join(row)}</row>" for row in cells),
-        "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
-    )
-    link = f'<Relationships><Relationship Id="a" Type="{of}/{{}}" Target="{{}}"/></Relationships>'
+    of = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    link, names = f'<Relationship Id="s{{}}" Type="{of}/{{}}" Target="{{}}"/>', range(1, len(sheets) + 1)
+    links = "".join(link.format(i, "worksheet", f"worksheets/sheet{i}.xml") for i in names)
+    entries = "".join(f'<sheet name="s{i}" sheetId="{i}" r:id="s{i}"/>' for i in names)
     parts = {
-        "_rels/.rels": link.format("officeDocument", "xl/workbook.xml"),
-        "xl/_rels/workbook.xml.rels": link.format("worksheet", "worksheets/sheet1.xml"),
-        "xl/workbook.xml": f'<workbook xmlns:r="{of}"><sheets><sheet name="s" sheetId="1" r:id="a"/></sheets></workbook>',
-        "xl/worksheets/sheet1.xml": f"<worksheet><sheetData>{body}</sheetData></worksheet>",
+        "_rels/.rels": f"<Relationships>{link.format(0, 'officeDocument', 'xl/workbook.xml')}</Relationships>",
+        "xl/_rels/workbook.xml.rels": f"<Relationships>{links}</Relationships>",
+        "xl/workbook.xml": f'<workbook xmlns:r="{of}"><sheets>{entries}</sheets></workbook>',
     }
+    for i, rows in zip(names, sheets, strict=True):
+        cells = [[(text if isinstance(value, str) else number).format(value) for value in row] for row in rows]
+        body = "".join(f"<row>{''.join(row)}</row>" for row in cells)
+        parts[f"xl/worksheets/sheet{i}.xml"] = f"<worksheet><sheetData>{body}</sheetData></worksheet>"
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as file:
         for name, text in parts.items():
