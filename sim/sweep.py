@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import controllers_of, drivable, left_out_object, log_lines, recorded, runnable, warn
+    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
     from sim.studies.frequency.describing_function import describing_function
     from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
     from synth.controller.controller import Controller
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     given = read_vehicle(options.vehicle)
     usual = [name for name in USUAL if name in given.controller_names]
-    names = drivable(given, chosen(given.controller_names, options.controller, usual), options.controller)
+    names = chosen(given.controller_names, options.controller, usual)
     vehicle = given.for_all(names)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *text_lines(workshop(vehicle, swept))]
         elif swept:
             lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
-        omitted = left_out_lines([] if vehicle.kind.ratios else omitted_controllers(vehicle, options.controller, names))
+        omitted = left_out_lines(omitted_controllers(vehicle, options.controller, names))
         title = titled(f"{found.title} of {vehicle.kind.name}", vehicle.source)
         say([*title, *lines, *written_lines(outputs), *log_lines([logs]), *omitted])
     return 0 if all(map(holds, sweeps)) and len(driven) == len(names) else 1

@@ -11,7 +11,7 @@ where h is v except for a damper of two curves (`models.suspension.damper`), and
 its line, plus that of the parallel curve.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ class Adjustable:
         nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
         ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel.
+        over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
     """
 
     force: str
@@ -46,6 +47,7 @@ class Adjustable:
     nominal: float
     standing: ForceCurve | None = None
     ratio: float = 1.0
+    over_travel: bool = False
 
     @property
     def coefficient(self) -> str:
@@ -88,6 +90,8 @@ class Adjustable:
 
         None if nothing but these acts.
         """
+        if self.over_travel:
+            return None
         if self.standing is None or self.damper.pair is None:
             return self.standing
         pair, x = self.damper.pair, np.union1d(self.standing.x, self.damper.pair.knots)
@@ -100,6 +104,7 @@ def adjustable(
     suspensions: Sequence[Suspended],
     parameters: Mapping[str, float],
     curves: Mapping[str, ForceCurve],
+    tables: Collection[str] = (),
 ) -> tuple[Adjustable, ...]:
     """Returns the adjustable dampers of a vehicle.
 
@@ -107,6 +112,7 @@ def adjustable(
         suspensions: suspensions of the vehicle, in the order of its forces.
         parameters: parameters of the vehicle, by name.
         curves: curves, by the parameter that each replaces.
+        tables: deflections of the suspensions whose motion ratio changes with travel.
 
     Raises:
         InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
@@ -132,7 +138,8 @@ def adjustable(
                 f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
             )
         standing = _standing(damper, nominal, curves.get(part.damping))
-        placed.append(Adjustable(part.force, part.ending, damper, nominal, standing, part.motion_ratio(parameters)))
+        ratio = part.motion_ratio(parameters), part.deflection in tables
+        placed.append(Adjustable(part.force, part.ending, damper, nominal, standing, *ratio))
         _check_takes(part.damping, placed[-1])
         pairs = [dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
@@ -173,17 +180,18 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
         )
 
 
-def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Damper]) -> None:
-    """Checks that a controller measures no force of a damper with curves: MuJoCo has several actuators for it, but no sensor of
-    their sum.
+def check_measured(name: str, measured: Sequence[str], dampers: Sequence[Adjustable]) -> None:
+    """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel: MuJoCo has no sensor
+    of it.
 
     Raises:
         InputError: the controller measures such a force.
     """
-    for force in measured:
-        if force in dampers and dampers[force].pair is not None:
+    for one in dampers:
+        if one.force in measured and (one.over_travel or one.damper.pair is not None):
+            what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
             raise InputError(
-                f"[controllers.{name}] measures {force}, and no sensor tells it of a damper with curves c_min and c_max; measure "
+                f"[controllers.{name}] measures {one.force}, and no sensor tells it of a damper {what}; measure "
                 "suspension_velocity, from which it follows, or give numbers"
             )
 

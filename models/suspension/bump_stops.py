@@ -26,6 +26,7 @@ from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
     from models.suspension.curve import ForceCurve, Pieces
+    from models.suspension.motion_ratio import RatioTable
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
@@ -159,6 +160,34 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class StopOverTravel(Stop):
+    """Bump stop at the wheel, through a motion ratio r(d) that changes with travel: r(d) F(D(d) - stroke).
+
+    Attributes:
+        sign: sign of its side's deflection.
+        own: the stop itself.
+        table: the motion ratio.
+    """
+
+    sign: float
+    own: Stop
+    table: "RatioTable"
+
+    def acts(self, beyond: Array) -> Array:
+        """See `Stop.acts`."""
+        return self.table(self.sign * (self.stroke + beyond)) * self.own.acts(self._compressed(beyond))
+
+    def work(self, beyond: Array) -> Array:
+        """See `Stop.work`."""
+        return self.own.work(self._compressed(beyond))
+
+    def _compressed(self, beyond: Array) -> Array:
+        """Returns the compression of the stop itself [m]."""
+        travel = self.sign * self.table.travel(self.sign * (self.stroke + beyond))
+        return np.where(beyond > 0, np.maximum(travel - self.own.stroke, 0.0), 0.0)
+
+
+@dataclass(frozen=True)
 class Stops:
     """Bump stops of a suspension, one for each side."""
 
@@ -181,6 +210,11 @@ class Stops:
         return self.bump.pushes or self.rebound.pushes
 
     @property
+    def over_travel(self) -> bool:
+        """True if they act through a motion ratio that changes with travel."""
+        return any(isinstance(stop, StopOverTravel) for _, stop in self.sides.values())
+
+    @property
     def alike(self) -> bool:
         """True if one spring with a dead band replaces both: its force is odd, without x^2."""
         bump, rebound = self.bump.stiffness, self.rebound.stiffness
@@ -201,12 +235,14 @@ class Stops:
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
         """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).
 
-        Stops with tables have `pieces` instead.
+        Stops with tables have `pieces` instead; those over travel have neither.
 
         Args:
             rest: length of the suspension at rest [m].
         """
         low, high = rest - self.bump.stroke, rest + self.rebound.stroke
+        if self.over_travel:
+            return {}
         if self.alike and not isinstance(self.bump.stiffness, StopTable):
             return {"stop": ((low, high), self.bump.stiffness)}
         springs = {}
@@ -223,7 +259,7 @@ class Stops:
         """The pieces of the force that pulls together, over the deflection, of each side with a table."""
         pieces = {}
         for side, (sign, stop) in self.sides.items():
-            if isinstance(stop.stiffness, StopTable):
+            if isinstance(stop.stiffness, StopTable) and not self.over_travel:
                 own = stop.stiffness.curve.pieces
                 bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
                 pieces[f"stop_{side}"] = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])

@@ -5,7 +5,7 @@ of a curve. (Its gain stays 1: with the negative of the bias's slope over length
 a damping ratio.) The suspension's own spring and damper stay, with the curve's slope at rest; the pieces add the deviation.
 
 MuJoCo has no product of length and speed. A damper over velocity and deflection is one motor, which `sim.physics.surface_steps`
-controls in every stage of RK4.
+controls in every stage of RK4. Where a motion ratio changes with travel, this motor also pulls for stops and actuators.
 """
 
 from collections.abc import Mapping, Sequence
@@ -121,6 +121,8 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
         line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)
+        if placed.over_travel:  # the motor of its surface pulls for it
+            line, ramps = 0.0, ()
         actuator.gainprm[:3] = [0.0, 0.0, -line]
         parts = [actuator]
         for number, (knot, slope, side) in enumerate(ramps, 1):

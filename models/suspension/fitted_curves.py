@@ -124,20 +124,19 @@ def fitted(
     curves: Mapping[str, ForceCurve],
     parameters: Mapping[str, float],
     dampers: Mapping[str, ForceCurve | None],
-    ratios: Mapping[str, RatioTable],
+    tables: Mapping[str, RatioTable],
     loads: Mapping[str, float],
 ) -> tuple[SuspensionCurve, ...]:
     """Returns every suspension's curves at the wheel, scaled to the vehicle's parameters.
 
     Args:
         dampers: the curves of adjustable dampers, by the suspension's deflection; None for a straight one.
-        ratios: motion ratios that change with travel, by parameter.
+        tables: motion ratios that change with travel, by the suspension's deflection.
         loads: the body's weight on each suspension [N], by its deflection.
     """
     placed = []
     for suspension in suspensions:
-        ratio, table = suspension.motion_ratio(parameters), ratios.get(suspension.ratio)
-        table = None if table is None or table.straight else table.scaled(ratio)
+        ratio, table = suspension.motion_ratio(parameters), tables.get(suspension.deflection)
         for name, over in ((suspension.stiffness, DEFLECTION), (suspension.damping, VELOCITY)):
             if over is VELOCITY and suspension.deflection in dampers:
                 curve = dampers[suspension.deflection]

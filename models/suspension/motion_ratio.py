@@ -6,8 +6,10 @@ and the preload N that carries the load W = r(0) N at rest, pulls at the wheel w
     P(d) = r(d) (F(D(d)) - N) + W,    P'(0) = r(0)^2 F'(0) - r'(0) N,
 
 and a damper of force G over its velocity with r(d) G(r(d) d'). Where r' differs on both sides of rest, the linear model has its
-mean. P is straight lines, as the curves of `models.suspension.curve_reading` are; the line about rest has the slope P'(0). A bump
-stop keeps the ratio at which it begins.
+mean. P is straight lines, as the curves of `models.suspension.curve_reading` are; the line about rest has the slope P'(0).
+
+A bump stop has no preload and no lines. An actuator pushes with r(d) u, where r is that at the start of each time step; a
+semi-active damper's coefficient acts through the same ratio.
 """
 
 from collections.abc import Mapping
@@ -127,11 +129,18 @@ class RatioTable:
 
     def stops(self, stops: "Stops") -> "Stops":
         """Returns bump stops as they act at the wheel."""
-        both = {"bump": stops.bump, "rebound": stops.rebound}
+        from models.suspension.bump_stops import StopOverTravel
+
+        both = {}
         for side, (sign, stop) in stops.sides.items():
-            begins = self.deflection(np.array(sign * stop.stroke))
-            both[side] = replace(stop.at_wheel(float(self(begins))), stroke=abs(float(begins)))
+            begins = abs(float(self.deflection(np.array(sign * stop.stroke))))
+            both[side] = StopOverTravel(begins, stop.stiffness, sign, stop, self)
         return replace(stops, **both)
+
+    @cached_property
+    def key(self) -> bytes:
+        """Equal for tables with the same ratios."""
+        return self.x.tobytes() + self.ratio.tobytes()
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:

@@ -269,10 +269,9 @@ def dampers_of(
 
     sections = data.get("controllers", {}).values()
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
-    if kind.ratios:
-        raise InputError("[actuators] semi-active dampers need a constant motion ratio; give it in [parameters]")
     dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
-    return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
+    tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
+    return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
 
 
 def with_payload(

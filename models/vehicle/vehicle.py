@@ -1,7 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.fitted_curves import SuspensionCurve
+    from models.suspension.motion_ratio import RatioTable
 
 
 def kinds(folder: Path = HERE) -> list[str]:
@@ -162,7 +163,7 @@ class Vehicle(Shown):
 
         dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
         loads = self.kind.static_loads(self.parameters) if self.kind.ratios else {}
-        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers, self.kind.ratios, loads)
+        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers, self.ratio_tables, loads)
 
     @property
     def is_curved(self) -> bool:
@@ -217,12 +218,35 @@ class Vehicle(Shown):
         return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
     @cached_property
+    def ratio_tables(self) -> "Mapping[str, RatioTable]":
+        """Motion ratios that change with travel, by deflection, scaled to its parameters; empty for linear analysis."""
+        parts = [(part, self.kind.ratios[part.ratio]) for part in self.kind.suspensions if part.ratio in self.kind.ratios]
+        return {part.deflection: one.scaled(part.motion_ratio(self.parameters)) for part, one in parts if not one.straight}
+
+    def ratio_at(self, force: str, deflection: Array) -> Array:
+        """Returns the motion ratio of a force at deflections of its suspension [m], shape (...)."""
+        table = self.ratio_tables.get(self.kind.pushed(force))
+        return np.full(np.shape(deflection), self.motion_ratios[force]) if table is None else table(deflection)
+
+    def ratios_along(self, signal: Callable[[str], Array]) -> Array:
+        """Returns the motion ratio of every force, shape (T, m), or (m,) if none changes with travel.
+
+        Args:
+            signal: name -> the deflections [m] at T samples.
+        """
+        if not self.ratio_tables:
+            return np.array([*self.motion_ratios.values()])
+        along, tables = {name: self.kind.pushed(name) for name in self.motion_ratios}, self.ratio_tables
+        at = [tables[part](signal(part)) if part in tables else self.motion_ratios[name] for name, part in along.items()]
+        return np.stack(np.broadcast_arrays(*at), axis=-1)
+
+    @cached_property
     def stops(self) -> "dict[str, Stops]":
         """Bump stops as they act at the wheels, by deflection; those of `[limits]` are at their motion ratios."""
         stops, parts = self.limits.stops(self.kind.suspensions), {part.deflection: part for part in self.kind.suspensions}
         for name, pair in stops.items():
-            ratio, table = parts[name].motion_ratio(self.parameters), self.kind.ratios.get(parts[name].ratio)
-            stops[name] = pair.at_wheel(ratio) if table is None else table.scaled(ratio).stops(pair)
+            table = self.ratio_tables.get(name)
+            stops[name] = pair.at_wheel(parts[name].motion_ratio(self.parameters)) if table is None else table.stops(pair)
         return stops
 
     @property
@@ -269,7 +293,7 @@ class Vehicle(Shown):
             return ()
         from models.suspension.adjustable_dampers import adjustable
 
-        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves)
+        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
@@ -491,7 +515,7 @@ class Vehicle(Shown):
         if self.dampers and not entry.forced:
             from models.suspension.adjustable_dampers import check_measured
 
-            check_measured(entry.name, entry.measured, self.dampers)
+            check_measured(entry.name, entry.measured, self.adjustable)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
-from models.common.command import ALL, complain
+from models.common.command import complain
 from models.common.errors import InputError
 from models.common.printed import Whole, pasted_path
 from models.document.document import Document, notes, statements
@@ -62,22 +62,6 @@ def controllers_of(
     from synth.vehicle.designer import driver_of
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
-
-
-def drivable(vehicle: Vehicle, names: Sequence[str], given: Sequence[str] | None) -> list[str]:
-    """Returns the controllers that can be run at the vehicle's motion ratios; warns of those that are left out.
-
-    Args:
-        names: the chosen controllers.
-        given: values of `--controller`; names that the user gives are kept.
-    """
-    kept = [name for name in names if name == PASSIVE or not vehicle.kind.ratios or given not in (None, [], [ALL])]
-    if left := [name for name in names if name not in kept]:
-        ratio = next(iter(vehicle.kind.ratios))
-        complain(
-            f"left out: {', '.join(left)}; {ratio} changes with travel in [curves], and runs with control need a constant one"
-        )
-    return kept
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:

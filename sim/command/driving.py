@@ -102,7 +102,6 @@ def drive(
     """
     vehicles = read_vehicles(options)
     names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
-    names = {title: comparison.drivable(vehicle, names[title], options.controller) for title, vehicle in vehicles.items()}
     _check_variants(options, vehicles)
     times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
     roads = {title: road_of(vehicle, options, times[title]) for title, vehicle in vehicles.items()}

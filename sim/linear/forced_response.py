@@ -50,7 +50,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         pushed = None if loads is None else loads[k : k + 1] @ model.Bh.T
         xi[k + 1] = steps(xi[k], forces[k : k + 1], road.midway[k : k + 1], pushed=pushed)
     states = xi[:, 0] + jump
-    return response_of(model, road, states, forces, steps.beyond(states, road.heights) + add)
+    return response_of(model, road, states, forces, steps.beyond(states, road.heights, forces) + add)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:

@@ -65,11 +65,12 @@ class LinearMotion:
         return {name: column for name, column in zip(model.outputs, values.T, strict=True) if name not in model.inputs}
 
 
-def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Array:
+def suspension_pulls(vehicle: Vehicle, beyond: Array, ratios: Array, d: Array, v: Array) -> Array:
     """Returns the forces of suspensions at the wheels beyond their linear springs and dampers [N], shape (K, s).
 
     Args:
         beyond: coefficients of adjustable dampers beyond the nominal ones [N s/m], shape (K, m).
+        ratios: motion ratios that are held over the step, shape (K, m) or (m,).
         d, v: deflections [m] and their rates [m/s], shape (K, s).
     """
     pulls, inputs = np.zeros_like(d), vehicle.linear_model.inputs
@@ -84,8 +85,8 @@ def suspension_pulls(vehicle: Vehicle, beyond: Array, d: Array, v: Array) -> Arr
     for part in vehicle.kind.suspensions:
         i = places[part.deflection]
         if part.force in dampers:
-            one = dampers[part.force]
-            pulls[:, i] += one.ratio * beyond[:, inputs.index(part.force)] * one.shape(one.ratio * v[:, i])
+            j = inputs.index(part.force)
+            pulls[:, i] += ratios[..., j] * beyond[:, j] * dampers[part.force].shape(ratios[..., j] * v[:, i])
     return pulls
 
 

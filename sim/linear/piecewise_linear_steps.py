@@ -13,6 +13,8 @@ polynomial. A y that passes a knot and returns between two of `LOOKS` looks at a
 1e-8 of itself.
 
 RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry.
+
+A motion ratio r(d) that changes with travel is held over a step, too: a force u pushes with r(d) u, d being that at its start.
 """
 
 import math
@@ -54,11 +56,22 @@ class CurvedSteps:
         self.n, self.push = len(model.A), np.vstack([nonlinear.push.T, np.zeros((len(self.surfaces), len(model.A)))])
         self.of_inputs, self.of_road = model.B.T, (model.A @ model.jump + model.Br).T
         self.jump = model.jump.T
+        # Forces through a motion ratio that changes with travel, each with its row of the outputs, and that of the deflection.
+        pushed = [(name, vehicle.kind.pushed(name)) for name in vehicle.linear_model.inputs]
+        pushed = [(name, travel) for name, travel in pushed if travel in vehicle.ratio_tables]
+        self.ratios = [(vehicle.ratio_tables[travel], vehicle.motion_ratios[name]) for name, travel in pushed]
+        forces, travels = ([model.outputs.index(pair[k]) for pair in pushed] for k in (0, 1))
+        self.force_rows, self.force_inputs = model.C[forces], model.D[forces].T
+        self.travel_rows, self.travels_of_road = model.C[travels].T, model.Cr[travels].T
+        push, self.pulled = (one.T for one in vehicle.pulls_on([travel for _, travel in pushed]))
+        self.pulled_states = np.hstack([push, np.zeros((len(push), self.n - push.shape[1]))])
         self._tabulate(nonlinear)
         steepest = np.abs(self.slopes).max(axis=1, initial=0.0)
         for surface, i, k in self.alike:
             steepest[i], steepest[self.count + k] = surface.steepest
-        self.parts, self.order = _series(model.A, nonlinear, steepest, timestep)
+        turned = [float(np.abs(table.ratio - at_rest).max()) for table, at_rest in self.ratios]
+        pushed_by_lag = np.abs(self.pulled_states.T) * turned @ np.abs(self.force_rows)
+        self.parts, self.order = _series(np.abs(model.A) + pushed_by_lag, nonlinear, steepest, timestep)
         looks = np.arange(1, LOOKS + 1) / LOOKS
         self.looks = looks, looks[:, None] ** np.arange(self.order + 1)
 
@@ -86,14 +99,24 @@ class CurvedSteps:
             self.offsets[i, : k + 1] = force[first] - slope * x[first]
             self.pieces[:, i, : len(pieces.slope)] = pieces.slope, pieces.start, pieces.low, pieces.high
 
-    def beyond(self, states: Array, heights: Array) -> Array:
-        """Returns the curves' contribution to the output signals, shape (..., p).
+    def beyond(self, states: Array, heights: Array, inputs: Array) -> Array:
+        """Returns the contribution of curves, and of motion ratios beyond those at rest, to the output signals, shape (..., p).
 
         Args:
             states: x, shape (..., n).
             heights: road heights [m], shape (..., r).
+            inputs: inputs that act, shape (..., m).
         """
-        return self._force(self.over(states, heights)) @ self.elements.outputs.T
+        curves = self._force(self.over(states, heights)) @ self.elements.outputs.T
+        if not self.ratios:
+            return curves
+        forces = states @ self.force_rows.T + inputs @ self.force_inputs
+        return curves + (self._turned(states, heights) * forces) @ self.pulled
+
+    def _turned(self, states: Array, heights: Array) -> Array:
+        """Returns by how much the motion ratio of each force in `ratios` is below that at rest, shape (..., g)."""
+        d = states @ self.travel_rows + heights @ self.travels_of_road
+        return np.stack([at_rest - table(d[..., k]) for k, (table, at_rest) in enumerate(self.ratios)], axis=-1)
 
     def over(self, states: Array, heights: Array) -> Array:
         """Returns the arguments y of the forces, then the deflections of surfaces, shape (..., e + s). Arguments as for
@@ -121,16 +144,22 @@ class CurvedSteps:
         constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.arguments_of_road
         if pushed is not None:
             constant = constant + pushed
+        A = self.stacked[:, : self.n]
+        if self.ratios:  # forces that lag are states
+            turned = self._turned(xi + heights @ self.jump, heights)
+            constant = constant + (turned * (inputs @ self.force_inputs)) @ self.pulled_states
+            A = A + (self.force_rows.T * turned[:, None]) @ self.pulled_states
         if self.exact:
             for _ in range(self.parts):
-                xi = self._exactly(xi, constant, offset)
+                xi = self._exactly(xi, A, constant, offset)
             return xi
-        return self._rk4(xi, constant, offset)
+        return self._rk4(xi, A, constant, offset)
 
-    def _rk4(self, xi: Array, constant: Array, offset: Array) -> Array:
+    def _rk4(self, xi: Array, A: Array, constant: Array, offset: Array) -> Array:
         def rate(at: Array) -> Array:
             both = at @ self.stacked
-            return both[:, : self.n] + constant + self._force(both[:, self.n :] + offset) @ self.push[: self.count]
+            linear = both[:, : self.n] if A.ndim == 2 else (at[:, None] @ A)[:, 0]
+            return linear + constant + self._force(both[:, self.n :] + offset) @ self.push[: self.count]
 
         h = self.timestep
         k1 = rate(xi)
@@ -139,8 +168,8 @@ class CurvedSteps:
         k4 = rate(xi + h * k3)
         return xi + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
-    def _exactly(self, xi: Array, constant: Array, offset: Array) -> Array:
-        """Returns xi after a part of a step."""
+    def _exactly(self, xi: Array, A: Array, constant: Array, offset: Array) -> Array:
+        """Returns xi after a part of a step; the transposed A may be of each run, shape (n, n) or (N, n, n)."""
         y = xi @ self.stacked[:, self.n :] + offset
         for surface, i, k in self.alike:  # a table's velocity is that of its damper
             d = y[:, self.count + k]
@@ -152,7 +181,8 @@ class CurvedSteps:
         result = np.array(xi)
         for _ in range(MOST_CUTS):
             at = where[some]
-            series, values = self._expand(result[some], constant[some], offset[some], at, left[some])
+            own = A if A.ndim == 2 else A[some]
+            series, values = self._expand(result[some], own, constant[some], offset[some], at, left[some])
             low, high = self.low[every, at], self.high[every, at]
             looks, powers = self.looks
             seen = (powers @ values.reshape(len(values), -1)).reshape(len(looks), *at.shape)
@@ -170,7 +200,7 @@ class CurvedSteps:
             some = some[leaving]
         return result
 
-    def _expand(self, xi: Array, constant: Array, offset: Array, where: Array, length: Array) -> tuple[Array, Array]:
+    def _expand(self, xi: Array, A: Array, constant: Array, offset: Array, where: Array, length: Array) -> tuple[Array, Array]:
         """Returns Taylor series in shares of these lengths of time [s]: xi, shape (order + 1, N, n), and y, shape (order + 1, N,
         e + s), with the velocities of surfaces' tables among them.
         """
@@ -180,7 +210,7 @@ class CurvedSteps:
         series[0], step = xi, length[:, None]
         # On these segments xi' is M xi + c, with one matrix of the vehicle and all slopes.
         rows = self.stacked[:, self.n :]
-        M = self.stacked[:, : self.n] + (rows * slopes[:, None]) @ self.push
+        M = A + (rows * slopes[:, None]) @ self.push
         c = constant + (slopes * offset + offsets) @ self.push
         products = self._products(where) if self.surfaces else None
         for i in range(self.order):

@@ -178,7 +178,8 @@ def sampled_responses(
                 computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
                 more = [] if through_readings is None else [through_readings[:, k]]
                 if steps is not None:  # accelerations that are measured have the curves' forces in them
-                    more.append(steps.beyond(states[:, k], now[:, k])[:, measured] @ cut.reading.T)
+                    acted = inputs[:, k - 1] if k else inputs[:, 0]
+                    more.append(steps.beyond(states[:, k], now[:, k], acted)[:, measured] @ cut.reading.T)
                 for term in more:
                     computed[newest], kept = computed[newest] + term[:, : cut.forces], kept + term[:, cut.forces :].T
                 forces = [computed[newest - late].T for _, late in intervals]
@@ -189,7 +190,7 @@ def sampled_responses(
                 xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
             else:
                 xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bh.T)
-    beyond = steps.beyond(states, now) if steps is not None else np.zeros(len(roads))
+    beyond = steps.beyond(states, now, inputs) if steps is not None else np.zeros(len(roads))
     if loads is not None:
         add = loads @ model.Dh.T
         beyond = add if steps is None else beyond + add

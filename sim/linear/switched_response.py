@@ -39,23 +39,26 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
     windup = None if law.anti_windup is None else anti_windup_gain(law)
     heights, midway, loads = (np.stack([getattr(one, name) for one in inputs], 1) for name in ("heights", "midway", "held"))
     rates = lag_rates(vehicle)
-    dampers, ratios = np.isin(forces, list(vehicle.dampers)), np.array([*vehicle.motion_ratios.values()])
+    dampers, at_rest = np.isin(forces, list(vehicle.dampers)), np.array([*vehicle.motion_ratios.values()])
     xi, kept = np.zeros((count, len(model.A))), np.zeros((count, law.states))
     acting, command, waiting = np.zeros((count, m)), np.zeros((count, 2 * m)), dict[int, Array]()
     states, given, missing = (np.zeros((samples, count, width)) for width in (len(model.A), m, m))
 
-    def terms(acting: Array) -> tuple[Array, partial[Array]]:
+    def terms(acting: Array, ratios: Array) -> tuple[Array, partial[Array]]:
         """Returns the forces of actuators that push, at the wheels, and the pulls of the suspensions."""
-        return np.where(dampers, 0.0, acting) * ratios, partial(suspension_pulls, vehicle, np.where(dampers, acting, 0.0))
+        beyond = np.where(dampers, acting, 0.0)
+        return np.where(dampers, 0.0, acting) * ratios, partial(suspension_pulls, vehicle, beyond, ratios)
 
     for k in range(samples):
         x = xi + heights[k] @ model.jump.T
+        ratios = vehicle.ratios_along(dict(zip(model.states, x.T, strict=True)).__getitem__)
         if k % period == 0:  # a reading contains the forces and loads that acted until then
-            pushed, pulls = terms(acting)
-            shown = {name: pushed[:, j] / ratios[j] for j, name in enumerate(forces)}
+            pushed, pulls = terms(acting, ratios)
+            shown = dict(zip(forces, (pushed / ratios).T, strict=True))
             shown |= motion.outputs(xi, heights[k], pushed, pulls, loads[k - 1] if k else np.zeros_like(loads[0]))
             y = np.stack([shown[name] for name in controller.measured], axis=1) if controller.measured else np.zeros((count, 0))
-            requested, closing = y @ law.D.T + kept @ law.C.T, np.where(of.adjustable, -(x @ V.T), 0.0) + of.at_rest
+            closing = (np.where(of.adjustable, -(x @ V.T), 0.0) + of.at_rest) * (ratios / at_rest)
+            requested = y @ law.D.T + kept @ law.C.T
             kept = y @ law.B.T + kept @ law.A.T
             if windup is not None:
                 kept = kept + of.clipped_off(requested, closing) @ windup.T
@@ -68,17 +71,19 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
         change = turn = np.zeros_like(acting)
         for share, weight in zip(SHARES, WEIGHTS, strict=True):
             at, now = xi + share * h * rate, acting + share * h * turn
-            rate, turn = motion.rate(at, midway[k], *terms(now), loads[k]), rates * (target - now)
+            rate, turn = motion.rate(at, midway[k], *terms(now, ratios), loads[k]), rates * (target - now)
             total, change = total + weight * rate, change + weight * turn
         xi, acting = xi + h * total, acting + h * change
     signals = vehicle.kind.signals
     responses = []
     for i, road in enumerate(inputs):
-        pushed, pulls = terms(given[:, i])
         x = states[:, i] + heights[:, i] @ model.jump.T
-        values, speeds = dict(zip(model.states, x.T, strict=True)), dict(zip(forces, (x @ V.T).T, strict=True))
+        values = dict(zip(model.states, x.T, strict=True))
+        ratios = vehicle.ratios_along(values.__getitem__)
+        pushed, pulls = terms(given[:, i], ratios)
+        speeds = dict(zip(forces, ((x @ V.T) * (ratios / at_rest)).T, strict=True))
         values |= motion.outputs(states[:, i], heights[:, i], pushed, pulls, loads[:, i])
-        values |= {name: pushed[:, j] / ratios[j] for j, name in enumerate(forces)}
+        values |= dict(zip(forces, (pushed / ratios).T, strict=True))
         values |= damper_signals(vehicle, np.where(dampers, given[:, i], 0.0), missing[:, i])
         for one in vehicle.adjustable:
             values[one.force] = -given[:, i, forces.index(one.force)] * one.shape(speeds[one.force])

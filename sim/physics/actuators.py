@@ -56,7 +56,7 @@ class Actuators:
         self.closing[adjustable, -speeds:] = -readout.stretching[adjustable]
         self.lags = bool(np.any(readout.lagging[adjustable] >= 0))
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
-        counts = [0 if one.damper.pair is None else len(one.damper.pair.ramps) for one in first.adjustable]
+        counts = [0 if one.damper.pair is None or one.over_travel else len(one.damper.pair.ramps) for one in first.adjustable]
         self._ramps = np.repeat([first.linear_model.inputs.index(one.force) for one in first.adjustable], counts)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
@@ -88,13 +88,16 @@ class Actuators:
         """
         first = self.vehicles[0]
         names, inputs = [signal.name for signal in first.kind.signals], first.linear_model.inputs
-        velocities = {suspension.force: suspension.velocity.name for suspension in first.kind.suspensions}
+        parts = {part.force: (names.index(part.deflection), part.velocity.name) for part in first.kind.suspensions if part.force}
         for i, one in enumerate(first.adjustable):
             j = inputs.index(one.force)
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            if one.damper.pair is not None:  # its force is the sum of several actuators
-                velocity = one.ratio * values[:, names.index(velocities[one.force])]
-                shaped = [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)]
-                values[:, names.index(one.force)] = -beyond * np.stack(shaped, axis=-1)
+            if one.damper.pair is not None or one.over_travel:  # its force is that of several actuators
+                deflection, velocity = parts[one.force]
+                for n, (other, d, v) in enumerate(
+                    zip(self.vehicles, values[:, deflection].T, values[:, names.index(velocity)].T, strict=True)
+                ):
+                    shaped = other.adjustable[i].shape(other.ratio_at(one.force, d) * v)
+                    values[:, names.index(one.force), n] = -beyond[:, n] * shaped

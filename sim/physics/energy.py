@@ -165,7 +165,9 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     grown = ends[:, 2::2] - lengths[:-1]  # within a step, over its road, which may carry a damper or an actuator
     middle = 1.5 * grown / h - (speeds[:-1] + speeds[1:]) / 4
     forces = np.stack([runs.response[name][index, :count] for name in vehicle.linear_model.inputs], axis=-1)
-    first, *inner, last = along * _acting(vehicle, forces, runs.requested_force[index, :count], h)
+    ratios = vehicle.ratios_along(runs.response.run(index).samples(slice(count)).__getitem__)
+    along = np.broadcast_to(along * ratios, forces.shape)
+    first, *inner, last = along[:-1] * _acting(vehicle, forces, runs.requested_force[index, :count], h)
     if vehicle.limits.actuator_bandwidth is None:
         work = first * grown[:, :actuators]  # the work of a held force is exact
     else:
@@ -174,7 +176,7 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     least = None
     if vehicle.dampers:
         response = runs.response.run(index).until(float(time[count - 1]) + h / 2)
-        least = _by_dampers(vehicle, response, along * speeds[:, :actuators], along * middle[:, :actuators], work)
+        least = _by_dampers(vehicle, response, along, speeds, middle, work)
     dampers, damping = slice(actuators, speeds.shape[1] - len(curves) - len(stops)), _damping(model)
     losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
     in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
@@ -286,24 +288,25 @@ def _fastest(vehicle: Vehicle) -> float:
     return max([rate, vehicle.limits.actuator_bandwidth or 0.0, *lags])
 
 
-def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Array, work: Array) -> float:
+def _by_dampers(vehicle: Vehicle, response: Response, along: Array, speeds: Array, middle: Array, work: Array) -> float:
     """Writes the work of adjustable dampers beyond the nominal ones, shape (T - 1, m). Returns `Energy.least`.
 
     Args:
         response: signals at T samples.
-        speeds: velocities of the suspensions at the samples [m/s], shape (T, m).
-        middle: velocities of the dampers in the middle of the steps, shape (T - 1, m).
+        along: velocities of the dampers over those of the suspensions, held over the steps, shape (T, m).
+        speeds, middle: velocities of the suspensions at the samples [m/s], and in the middle of the steps; the first m columns.
         work: array that receives the work of each damper [J].
     """
     h, least = float(response.time[1]), np.inf
     for adjustable in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(adjustable.force)
-        beyond, v, amid = response[adjustable.coefficient] - adjustable.nominal, speeds[:, j], middle[:, j]
-        power = v * adjustable.shape(v)
+        beyond, v = response[adjustable.coefficient] - adjustable.nominal, along[:, j] * speeds[:, j]
+        amid, after_step = along[:-1, j] * middle[:, j], along[:-1, j] * speeds[1:, j]
+        power, last = v * adjustable.shape(v), after_step * adjustable.shape(after_step)
         before, after, bandwidth = beyond[:-1], beyond[1:], adjustable.damper.bandwidth
         share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
         between, end = before + share * (after - before), after if bandwidth else before
-        work[:, j] = -(before * power[:-1] + 4 * between * amid * adjustable.shape(amid) + end * power[1:]) * h / 6
+        work[:, j] = -(before * power[:-1] + 4 * between * amid * adjustable.shape(amid) + end * last) * h / 6
         power = (adjustable.ramp(v, 0.0) - response[adjustable.force]) * v
         least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
     return least
@@ -311,7 +314,7 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
 
 @functools.lru_cache(maxsize=16)
 def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]:
-    """Returns the vehicle's model with the sensors of its energy alone, and every force along its length per force.
+    """Returns the vehicle's model with the sensors of its energy alone, and every suspension's deflection per length.
 
     The sensors, in order: potential and kinetic energy; then length and speed of every actuator's direction, of every damped
     tendon and joint, of the tendon of every curve, of every one that has stops, of every tyre that damps, and of every strut
@@ -326,10 +329,10 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
         stroke = sensors.get(vehicle.kind.pushed(name))
         if stroke is not None and stroke.type in speeds:
             pairs.append((stroke.type, speeds[stroke.type], stroke.objtype, stroke.objname))
-            along.append(vehicle.motion_ratios[name] * float(stroke.userdata[0]))
+            along.append(float(stroke.userdata[0]))
         else:
             pairs.append((kind.mjSENS_ACTUATORPOS, kind.mjSENS_ACTUATORVEL, of.mjOBJ_ACTUATOR, name))
-            along.append(1.0)
+            along.append(1.0 / vehicle.motion_ratios[name])  # its length is that of the actuator itself
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     spec.add_sensor(name="potential", type=kind.mjSENS_E_POTENTIAL)

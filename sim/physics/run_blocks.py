@@ -12,14 +12,13 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
-from sim.physics.driver import Failure, RecordedForces, RunDriver
+from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
 
@@ -158,13 +157,6 @@ class _Loop:
     def __init__(self, course: BatchInputs) -> None:
         """Prepares what all shares of the runs have in common."""
         self.course, self.vehicles = course, course.vehicles
-        for vehicle, one in zip(course.vehicles, course.controllers, strict=True):
-            passive = one is None or isinstance(one, RecordedForces) or (isinstance(one, Controller) and not one.law.acts)
-            if vehicle.kind.ratios and not passive:
-                raise InputError(
-                    f"controller {one.name!r} pushes through {next(iter(vehicle.kind.ratios))}, which changes with travel in "
-                    "[curves], but runs with control need a constant ratio; run passive, or give the ratio in [parameters]"
-                )
         first, timestep = self.vehicles[0], course.timestep
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in self.vehicles}
@@ -260,6 +252,7 @@ class _Loop:
         count = len(vehicles)
         batch = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
         actuators = Actuators(vehicles, readout)
+        turning = bool(len(actuators.closing) and vehicles[0].ratio_tables)
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)
         now, midway = course.now[:, runs], course.midway[:, runs]
@@ -309,6 +302,8 @@ class _Loop:
                         reading[:, moved:] = measured
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
+                    if turning:  # a damper's velocity is that of its wheel times its ratio there
+                        signals[:, -actuators.forces :] *= batch.ratios(vehicles[0].linear_model.inputs)
                 for computer in computers:
                     computer.step(k, signals, commands)
                 acting = commands

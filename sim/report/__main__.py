@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = [
             *written_lines(outputs)[1:],
             *left,
-            *left_out_lines([] if vehicle.kind.ratios else others),
+            *left_out_lines(others),
             "",
             *standing_lines(result.compared, result.compared_on),
         ]
@@ -118,7 +118,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str]]]":
     """Returns the vehicles of the pages with their controllers, by title. Controllers that push have a page beside dampers."""
-    from sim.command.comparison import drivable
     from sim.command.driving import read_vehicles
 
     vehicles = read_vehicles(options)
@@ -127,7 +126,6 @@ def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str
     subjects = {}
     for title, names in chosen_of(known, options.controller, usual).items():
         vehicle = vehicles[title]
-        names = drivable(vehicle, names, options.controller)
         pushing = [name for name in names if vehicle.driven_by(name) is not vehicle]
         others = [name for name in names if name not in pushing]
         if pushing and any(name in vehicle.controllers for name in others):

@@ -94,13 +94,16 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
     def pull(x: Array, response: Response) -> Array:
         return one.curve(x) if one.surface is None else one.surface.along(x, response[one.deflection])
 
+    def ratio(response: Response) -> Array:
+        return vehicle.ratio_at(actuator, response[one.deflection])
+
     return Diagram(
         f"{one.parameter.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
         _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
         _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
         lambda response: response[signal.name],
-        lambda x, response: pull(x, response) - (one.ratio * response[actuator] if pushed else 0.0),
+        lambda x, response: pull(x, response) - (ratio(response) * response[actuator] if pushed else 0.0),
         (
             _line(what, ending, "curve", "solid", 1.8, one.curve),
             _line(what, ending, "line at rest", "dash", 1.0, lambda x: one.curve.slope * x),
@@ -119,7 +122,11 @@ def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
         f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
         _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
         _named("damper", "force", one.ending, "N", "all that it pulls together with"),
-        lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,
+        lambda response: (
+            np.stack([response[name] for name in model.states], axis=-1)
+            @ row
+            * (vehicle.ratio_at(one.force, response[vehicle.kind.pushed(one.force)]) / one.ratio)
+        ),
         lambda x, response: one.ramp(x, 0.0) - response[one.force],
         (
             _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.ramp(x, one.low)),

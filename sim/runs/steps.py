@@ -159,6 +159,7 @@ class _Starts:
         loads: loads held during the steps, see `RoadInput.held`.
         there: signals of `Motion.names` at their ends, shape (K, p).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
+        ratios: motion ratios held during the steps, shape (K, m) or (m,).
     """
 
     vehicle: Vehicle
@@ -169,6 +170,7 @@ class _Starts:
     loads: Array
     there: Array
     stages: list[Array]
+    ratios: Array
 
 
 def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Array) -> _Starts:
@@ -178,13 +180,14 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     names, m = motion.names, len(vehicle.linear_model.inputs)
     if count == 1:
         nothing = np.zeros((0, len(names)))
-        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4)
+        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4, np.zeros((0, m)))
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
     stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
-    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages)
+    ratios = vehicle.ratios_along(physics.samples(slice(end)).__getitem__)
+    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages, ratios)
 
 
 def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
@@ -193,11 +196,11 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     if not len(state):
         return starts.there, starts.there
     total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
-    ratios = np.array([*starts.vehicle.motion_ratios.values()])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at = state + share * h * rate
         forces, beyond = _parted(starts.vehicle, given)
-        rate = motion.rate(at, starts.midway, forces * ratios, partial(suspension_pulls, starts.vehicle, beyond), starts.loads)
+        pulls = partial(suspension_pulls, starts.vehicle, beyond, starts.ratios)
+        rate = motion.rate(at, starts.midway, forces * starts.ratios, pulls, starts.loads)
         total += weight * rate
     return motion.read(state + h * total, starts.heights[1:]), starts.there
 
@@ -210,9 +213,9 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
 
     def pulls(d: Array, v: Array) -> Array:
         seen.append(v)
-        return suspension_pulls(vehicle, beyond, d, v)
+        return suspension_pulls(vehicle, beyond, starts.ratios, d, v)
 
-    at_wheels = forces * np.array([*vehicle.motion_ratios.values()])
+    at_wheels = forces * starts.ratios
     shown = dict(motion.outputs(starts.state, starts.heights[:-1], at_wheels, pulls, loads))
     for part, v in zip(kind.suspensions, seen[0].T, strict=True):
         shown.setdefault(part.velocity.name, v)
@@ -220,8 +223,9 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     for j, name in enumerate(vehicle.linear_model.inputs):
         shown[name] = forces[:, j]
     for one in vehicle.adjustable:
-        coefficient = beyond[:, vehicle.linear_model.inputs.index(one.force)]
-        shown[one.force] = -coefficient * one.shape(one.ratio * seen[0][:, places[one.force]])
+        j = vehicle.linear_model.inputs.index(one.force)
+        coefficient = beyond[:, j]
+        shown[one.force] = -coefficient * one.shape(starts.ratios[..., j] * seen[0][:, places[one.force]])
         shown[one.coefficient] = one.nominal + coefficient
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))

@@ -213,6 +213,7 @@ class Meter:
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         self.ratios = {name: np.array([[one.motion_ratios[name]] for one in vehicles]) for name, *_ in self.where.actuators}
+        self.turning = vehicles if self.vehicle.ratio_tables else []
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         self.strokes = {
@@ -295,7 +296,10 @@ class Meter:
             if travel:
                 force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
                 work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
-                work = work * np.diff(along, axis=1) * self.ratios[name]
+                ratios = self.ratios[name]
+                if self.turning:
+                    ratios = np.stack([one.ratio_at(name, d) for one, d in zip(self.turning, along[:, :-1], strict=True)])
+                work = work * np.diff(along, axis=1) * ratios
                 self._add(power(name), work.sum(axis=1))
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 
