@@ -115,7 +115,7 @@ def test_equations_that_do_not_work(folder, old, new, said):
         ("parameters", "(Parameter('a mass', 'kg', 'x'),)", "parameter: 'a mass' is not allowed; give letters"),
         ("parameters", "(Parameter('mass', 1, 'x'),)", "unit = 1 is not allowed; give a text"),
         ("signals", "(*K['signals'], signals.Signal('controller_1', 'x', 'm', 'x'))", "begins with controller_"),
-        ("signals", "()", "signals = .* is not allowed; give a list, each item a signal"),
+        ("signals", "()", "signals = .* is not allowed; give a list in which each item is a signal"),
         ("on_demand", "(K['signals'][-1],)", "signal: 'control_force' is there twice"),
         ("wheels", "K['wheels'] * 2", "road_body of a wheel: 'road' is there twice"),
         (
