@@ -392,8 +392,7 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
         ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', but would be read as height"),
         ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', is in cm, but distance_unit = m is given"),
         ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', is in in, but height_unit = mm is given"),
-        ("distance [furlong],left,right", "",
-         "has the unit 'furlong' (allowed: cm, ft, in, km, m, mm); convert the column, or give :dist"),
+        ("distance [furlong],left,right", "", "(allowed: cm, ft, in, km, m, mm); convert the column, or give :dist"),
         ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
     ],
 )  # fmt: skip
@@ -590,10 +589,7 @@ def test_description_is_enough(road):
         ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
         ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was 0.001, and is 0.000256 here"),
-        (
-            {**sinusoid(1.0, 1.0).describe(), "omega": None},
-            "omega = None is not allowed; give a list in which each item is a number",
-        ),
+        ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list in which each item"),
         ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
     ],
 )
