@@ -26,16 +26,16 @@ TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # of four wheels on tracks of equal wi
 
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, the body", varied=Variation("sprung mass", 0.7, 1.4)),
-    Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
-    Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
-    Parameter("track", "m", "b, from a left wheel to the right one, on both axles", optional=True),
-    *rigid_body.per_axle("track", "m", "b of one axle, instead of `track`", optional=True),
-    *rigid_body.per_axle("axle_distance", "m", "l, from the centre of mass to the axle"),
-    *rigid_body.per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
+    Parameter("sprung_mass", "kg", "m_s, mass of the body", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of the body about its centre of mass"),
+    Parameter("roll_inertia", "kg m2", "I_x, roll inertia of the body about its centre of mass"),
+    Parameter("track", "m", "b, distance of left and right wheels, on both axles", optional=True),
+    *rigid_body.per_axle("track", "m", "b, distance of the wheels on this axle, instead of `track`", optional=True),
+    *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle"),
+    *rigid_body.per_axle("unsprung_mass", "kg", "m_u, mass of one wheel with hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),
-    *rigid_body.per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
-    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    *rigid_body.per_axle("suspension_damping", "N s/m", "c_s, damping coefficient at one wheel", positive=False),
+    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t, stiffness of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
     *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
     rigid_body.CENTRE_HEIGHT,
@@ -43,7 +43,7 @@ PARAMETERS = (
         Parameter(
             f"anti_roll_stiffness_{axle}",
             "N m/rad",
-            f"k_phi, of the anti-roll bar, moment per angle by which the body rolls over the {axle} axle",
+            f"k_phi, stiffness of the anti-roll bar: moment per roll angle of the body at the {axle} axle",
             positive=False,
             usual=0.0,
         )

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, what one wheel carries of the body", varied=Variation("sprung mass", 0.7, 1.4)),
-    Parameter("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
-    Parameter("suspension_stiffness", "N/m", "k_s; 0 for a purely active strut", positive=False),
-    Parameter("suspension_damping", "N s/m", "c_s", positive=False),
-    Parameter("tyre_stiffness", "N/m", "k_t (the paper's k_u)", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    Parameter("sprung_mass", "kg", "m_s, mass of the body that one wheel carries", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake"),
+    Parameter("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", positive=False),
+    Parameter("suspension_damping", "N s/m", "c_s, damping coefficient", positive=False),
+    Parameter("tyre_stiffness", "N/m", "k_t, called k_u in the paper", varied=Variation("tyre stiffness", 0.75, 1.25)),
     Parameter("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
     motion_ratio("motion_ratio"),
 )
@@ -199,5 +199,5 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     motion=motion,
-    lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a quarter-car only goes up and down: take a full_car"},
+    lacking={"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
 )

@@ -28,7 +28,7 @@ def check_unmasked(name: str, value: object) -> None:
         InputError: a value is masked; the message names the array.
     """
     if is_masked(value):
-        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or omit them")
+        raise InputError(f"{name} has masked values; fill them, for example with filled(0.0), or remove them")
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:
@@ -56,7 +56,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
     if np.iscomplexobj(given):
         if np.any(np.imag(given)):
-            raise InputError(f"{name} has complex entries; give real ones")
+            raise InputError(f"{name} has complex entries; give real numbers")
         given = np.real(given)
     try:
         matrix = np.array(given, dtype=float)
@@ -64,7 +64,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         raise InputError(f"{name} is not a matrix of numbers ({error}); give an array of floats") from None
     size = float(np.abs(matrix).max(initial=0.0))
     if not size < np.inf:
-        raise InputError(f"{name} has an entry that is not finite; give numbers")
+        raise InputError(f"{name} has an entry that is not finite; give finite numbers")
     if size > largest:
-        raise InputError(f"{name} has an entry beyond {largest:g}, in size; give it in other units")
+        raise InputError(f"{name} has an entry beyond {largest:g} in magnitude; use other units")
     return matrix, size

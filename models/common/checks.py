@@ -262,6 +262,7 @@ def _words(annotation: Any) -> str:
         return f"a mapping from {_words(inner[0])} to {_words(inner[1])}"
     if inner:
         fixed = outer is tuple and inner[-1] is not ...
-        return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else f"a list, each item {_words(inner[0])}"
+        every = f"a list in which each item is {_words(inner[0])}"
+        return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else every
     # A type that is not public has a class attribute `given_as`, which describes where its values come from.
     return vars(outer).get("given_as", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")

@@ -80,5 +80,5 @@ def _exit_code(command: str, error: BaseException) -> int:
             return INTERRUPTED
         cause = cause.__cause__ or cause.__context__
     name = command.removesuffix(".__main__")
-    complain(f"{name} fails with an unexpected {type(error).__name__}: {error}; {TRACEBACK} shows where")
+    complain(f"{name} failed with an unexpected {type(error).__name__}: {error}; {TRACEBACK} shows where")
     return 1

@@ -51,7 +51,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             prog=self._called(f"python -m {prog}"),
             description=_page(description),
-            epilog=_page(f"{self._called(epilog).rstrip()}\n\nwhat it prints and how to read it: {self.page}"),
+            epilog=_page(f"{self._called(epilog).rstrip()}\n\nexplanation of the printed output: {self.page}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -62,7 +62,7 @@ class Parser(argparse.ArgumentParser):
         self.register("action", None, _Once)
         self.register("action", "store", _Once)
         self.register("action", "store_true", _Flag)
-        self.add_argument(TRACEBACK, action="store_true", help="show the traceback of an error, for a bug report")
+        self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
@@ -73,7 +73,7 @@ class Parser(argparse.ArgumentParser):
         args = sys.argv[1:] if args is None else args
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
-                self.error(f"argument {argument[:-3]}: '--' is not a value")
+                self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join(["python", "-m", self.module, *args])
@@ -95,7 +95,7 @@ class Parser(argparse.ArgumentParser):
             action="append",
             type=_name,
             metavar="NAME",
-            help=f"passive, state, a controller of the vehicle file, or all; may be repeated ({default})",
+            help=f"passive, state, a controller of the vehicle file, or all; can be repeated ({default})",
         )
         if several:
             self.add_argument(
@@ -104,7 +104,7 @@ class Parser(argparse.ArgumentParser):
                 action=_Vehicles,
                 default=("quarter_car",),
                 metavar="FILE",
-                help=f"vehicle file, or name of a built-in vehicle; may be repeated, for {several} (default: quarter_car)",
+                help=f"vehicle file, or name of a built-in vehicle; repeat the option for {several} (default: quarter_car)",
             )
         else:
             self._add_vehicle()
@@ -137,7 +137,7 @@ class Parser(argparse.ArgumentParser):
             try:
                 value = int(text)
             except ValueError:
-                raise argparse.ArgumentTypeError(f"{text!r} is not an integer; give one from {low} to {high}") from None
+                raise argparse.ArgumentTypeError(f"{text!r} is not an integer; give an integer from {low} to {high}") from None
             if not low <= value <= high:
                 raise argparse.ArgumentTypeError(f"{text} is not allowed; give an integer from {low} to {high}")
             return value
@@ -176,7 +176,7 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
     """
     for name in given or ():
         if name not in (ALL, *names):
-            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(names)}")
+            raise InputError(f"unknown controller {name!r}; the controllers of this vehicle are {listing(names)}")
         if (given or []).count(name) > 1:
             raise InputError(f"--controller {name} is given twice; give it once")
     if not given and not usual:
@@ -223,7 +223,7 @@ def one_chosen(names: Sequence[str], given: str | None) -> str:
     if given is None:
         raise InputError(f"no controller is given; {allowed}")
     if given == ALL:
-        raise InputError(f"--controller {ALL} is not allowed, as this command takes one controller; {allowed}")
+        raise InputError(f"--controller {ALL} is not allowed, because this command takes only one controller; {allowed}")
     if given not in names:
         raise InputError(f"unknown controller {given!r}; {allowed}")
     return given
@@ -306,7 +306,7 @@ def _number_in(unit: str) -> Callable[[str], float]:
             except InputError as error:
                 raise argparse.ArgumentTypeError(str(error)) from None
         if not math.isfinite(value):
-            raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a finite number; give a finite number")
         return value
 
     return number

@@ -32,7 +32,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         comma = re.search(r"^[\w.]+ *= *(-?\d+),(\d+) *(#.*)?$", text, re.MULTILINE)
         instead = f"; write {comma[1]}.{comma[2]} for {comma[1]},{comma[2]}" if comma else ""
-        raise InputError(f"not TOML: {error}{instead}") from error
+        raise InputError(f"this is not valid TOML: {error}{instead}") from error
 
 
 STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened
@@ -41,7 +41,7 @@ _waiting: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", de
 
 
 @contextmanager
-def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
+def whole_file(path: Path, what: str, instead: str = "give another path") -> Iterator[Path]:
     """Yields a temporary path with the suffix of `path`, and renames it to `path` when the block ends without an error.
 
     Args:
@@ -94,7 +94,7 @@ def together() -> Iterator[None]:
     try:
         yield
         for beside, target in waiting:
-            with _writing(target, "output", "fix the cause and try again"):
+            with _writing(target, "output", "fix the cause and run the command again"):
                 beside.replace(target)
     finally:
         _waiting.reset(token)
@@ -102,7 +102,7 @@ def together() -> Iterator[None]:
             beside.unlink(missing_ok=True)
 
 
-def check_file(path: Path, what: str, instead: str = "give another") -> None:
+def check_file(path: Path, what: str, instead: str = "give another path") -> None:
     """Checks that a file can be written, before a long run.
 
     Raises:
@@ -165,11 +165,11 @@ def _target(path: Path, what: str, instead: str) -> Path:
     """
     target = path if _is_stream(path) else Path(os.path.realpath(path))
     if target.is_dir():
-        raise InputError(f"{what} {path}: is a folder; give the name of a file")
+        raise InputError(f"{what} {path}: this is a folder; give the name of a file")
     if not target.parent.is_dir():
-        raise InputError(f"{what} {path}: there is no folder {target.parent}; make it or {instead}")
+        raise InputError(f"{what} {path}: there is no folder {target.parent}; create it, or {instead}")
     if target.exists() and not os.access(target, os.W_OK):
-        raise InputError(f"{what} {path}: is read-only; make it writable or {instead}")
+        raise InputError(f"{what} {path}: this file is read-only; make it writable, or {instead}")
     return target
 
 
@@ -210,14 +210,14 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
     except InputError as error:
         raise InputError(f"{purpose} {path}: {error}") from error
     except FileNotFoundError as error:
-        reason = "is a link to nothing" if path.is_symlink() else "there is no such file"
+        reason = "it is a link to a file that does not exist" if path.is_symlink() else "there is no such file"
         raise InputError(f"{purpose} {path}: {reason}; {give}") from error
     except IsADirectoryError as error:
-        raise InputError(f"{purpose} {path}: is a folder, not a file; {give}") from error
+        raise InputError(f"{purpose} {path}: this is a folder, not a file; {give}") from error
     except OSError as error:
-        raise InputError(f"{purpose} {path}: cannot be read ({error.strerror or error}); {give}") from error
+        raise InputError(f"{purpose} {path}: the file cannot be read ({error.strerror or error}); {give}") from error
     except UnicodeDecodeError as error:
-        reason = f"not a text file in UTF-8 ({error.reason} at byte {error.start})"
+        reason = f"this is not a text file in UTF-8 ({error.reason} at byte {error.start})"
         raise InputError(f"{purpose} {path}: {reason}; save it as UTF-8, or {give}") from error
     except Exception as error:
         raise InputError(f"{purpose} {path}: {str(error) or type(error).__name__}; {give}") from error
@@ -243,7 +243,7 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
     with reading(path, purpose, give):
         text = content.decode("utf-8-sig")
         if "\0" in text:
-            raise InputError(f"not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
+            raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
     return text.replace("\r\n", "\n")
 
 

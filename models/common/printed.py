@@ -61,9 +61,9 @@ def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
     for setting in text.split(":")[1:]:
         name, equals, value = setting.partition("=")
         if not equals or name not in allowed:
-            raise InputError(f"{setting!r} is not NAME=VALUE with a NAME out of {listing(allowed)}")
+            raise InputError(f"{setting!r} is not a setting NAME=VALUE; NAME must be one of {listing(allowed)}")
         if name in values:
-            raise InputError(f"{name} is given twice, {values[name]!r} and {value!r}; give it once")
+            raise InputError(f"{name} is given twice, as {values[name]!r} and as {value!r}; give it once")
         values[name] = value
     return values
 
@@ -144,7 +144,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
     for i, sentence in enumerate(sentences):
         more = len(sentences) - i - 1
         if i and len(lines) + len(fitted([sentence])) + bool(more) > room:
-            return [*lines, f"-v has {more + 1} more sentence{'s' * bool(more)}"]
+            return [*lines, f"-v prints {more + 1} more sentence{'s' * bool(more)}"]
         lines += fitted([sentence])
     return lines
 

@@ -113,11 +113,11 @@ class Heading:
         column = f"column {self.column}, {quoted(self.text)}," if self.text else f"column {self.column}"
         allowed, instead = f"allowed: {listing(units)}", f", or give :{option}={si}" if option else ""
         if given and size not in (None, units[given]):
-            raise InputError(f"{column} is in {self.unit}, and {option} = {given} was given; omit one of them, or correct it")
+            raise InputError(f"{column} is in {self.unit}, but {option} = {given} is given; omit or correct one")
         if not given and self.unit and size is None:
-            raise InputError(f"{column} is in {quoted(self.unit)}; {allowed}; convert it{instead}")
+            raise InputError(f"{column} has the unit {quoted(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):
-            raise InputError(f"{column} has no unit; {allowed}; write {self.name} [{si}] above it{instead}")
+            raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}]{instead}")
         return units[given or default] if given or size is None else size
 
 
@@ -153,4 +153,4 @@ def check_unit_options(settings: Mapping[str, str], options: Mapping[str, str]) 
     """Raises an InputError for a setting that is not a unit of its quantity; `options` has the quantities by setting."""
     for name, quantity in options.items():
         if name in settings and settings[name] not in (units := QUANTITIES[quantity].units):
-            raise InputError(f"{name} = {settings[name]!r} is unknown; give one of {listing(units)}")
+            raise InputError(f"{name} = {settings[name]!r} is an unknown unit; give one of {listing(units)}")

@@ -72,20 +72,20 @@ class NumberTable:
         if not rows and optional:
             return [Heading(column=i) for i in range(1, self.count + 1)]
         if not rows:
-            raise InputError(f"no line above line {self.first + 1} names its {self.count} column(s); {self.give}")
+            raise InputError(f"no line above line {self.first + 1} has headings for its {self.count} column(s); {self.give}")
         headings = rows[-1]
         if len(rows) > 1 and not any(heading.name for heading in headings):
             for heading, below in zip(rows[-2], headings, strict=True):
                 if heading.unit and below.unit not in ("", heading.unit):
                     texts = f"{heading.text!r} and {below.text!r}"
-                    raise InputError(f"the headings {texts} of column {heading.column} contradict each other; correct them")
+                    raise InputError(f"the headings {texts} of column {heading.column} contradict each other; correct one")
             headings = [replace(one, unit=one.unit or below.unit) for one, below in zip(rows[-2], headings, strict=True)]
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
                 raise InputError(f"{found}; begin lines that are not headings with #, or {self.give}")
             if not optional and [other.quantity or other.name for other in headings].count(heading.quantity or heading.name) > 1:
-                raise InputError(f"two columns are called {quoted(heading.quantity or heading.name)}; omit one of them")
+                raise InputError(f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns")
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
@@ -121,7 +121,7 @@ class NumberTable:
         lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True
         for line, cells in self.rows():
             if len(cells) <= max(used) or not (ragged or all(_number(cell) is None for cell in cells[self.count :])):
-                there = f"line {line} has {len(cells)} column(s), and line {self.first + 1} has {self.count}"
+                there = f"line {line} has {len(cells)} column(s), but line {self.first + 1} has {self.count}"
                 raise InputError(f"{there}; {self.give}")
             for column in used:
                 cell = cells[column]
@@ -133,7 +133,7 @@ class NumberTable:
                 number = _number(cell)
                 if len(marked) == 2:
                     both = " and ".join(dict.fromkeys(marked.values()))
-                    raise InputError(f"both comma and dot are in numbers: {both}; write numbers without thousands marks")
+                    raise InputError(f"numbers contain both commas and dots: {both}; write numbers without thousands separators")
                 if number is None or not math.isfinite(number):
                     raise InputError(f"line {line}, column {column + 1}: {quoted(cell)} is not a finite number; {self.give}")
                 values.append(number)
@@ -157,7 +157,7 @@ class NumberTable:
             if heading.quantity not in known:
                 signs = [f"{name} (positive: {QUANTITIES[name].positive})".replace(" (positive: )", "") for name in known]
                 called = f"column {heading.column} is called {quoted(heading.text)}"
-                raise InputError(f"{called}, and none of {listing(signs)}; {self.give}")
+                raise InputError(f"{called}, which is not one of {listing(signs)}; {self.give}")
         numbers = self.numbers()[0] * [heading.scale(heading.quantity) for heading in headings]
         return {heading.quantity: column for heading, column in zip(headings, numbers.T, strict=True)}
 
@@ -174,7 +174,7 @@ def table_text(path: Path) -> str:
         try:
             from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
         except ImportError:
-            raise InputError("a spreadsheet needs python-calamine; pip install 'roadproof[excel]', or save it as .csv") from None
+            raise InputError("a spreadsheet needs python-calamine; run pip install 'roadproof[excel]', or save it as .csv") from None
         book = CalamineWorkbook.from_path(str(path))
         sheets = {
             one.name: book.get_sheet_by_name(one.name).to_python() for one in book.sheets_metadata if "Work" in str(one.typ)
@@ -208,7 +208,7 @@ def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
         return np.asarray(next(iter(columns.values())), dtype=float).tolist()
     if not vectors or len({len(value) for value in vectors.values()}) > 1:
         sizes = ", ".join(f"{name} {'x'.join(map(str, value.shape))}" for name, value in arrays.items()) or "nothing"
-        raise InputError(f"contains {sizes}; save vectors of equal length, such as distance and height, or one matrix")
+        raise InputError(f"the file contains {sizes}; save vectors of equal length, such as distance and height, or one matrix")
     return [[*vectors], *np.column_stack([value.astype(float) for value in vectors.values()]).tolist()]
 
 
@@ -224,9 +224,9 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
         with warnings.catch_warnings(action="ignore"):  # of two objects, which have the same name for SciPy
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
-        raise InputError("is of version 7.3, which is HDF5 and cannot be read; save it in MATLAB with '-v7'") from error
+        raise InputError("it is of version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
     except Exception as error:
-        raise InputError(f"is not a MATLAB file, or damaged ({error}); write it in MATLAB by save, with '-v7'") from error
+        raise InputError(f"it is not a MATLAB file, or is damaged ({error}); save it in MATLAB with '-v7'") from error
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
@@ -241,7 +241,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         InputError: no line has one.
     """
     if "\0" in text:
-        raise InputError(f"not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
+        raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for first, line in enumerate(lines):
         numbers = _uncommented(line)
@@ -251,7 +251,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         cells = splits[mark := (whole or marks)[0]]
         if column < len(cells) and _number(cells[column]) is not None:
             return NumberTable(lines, first, mark, len(cells), give)
-    raise InputError(f"{'no line of numbers' if text.strip() else 'it is empty'}; {give}")
+    raise InputError(f"{'the file has no line of numbers' if text.strip() else 'the file is empty'}; {give}")
 
 
 def _number(cell: str) -> float | None:

@@ -52,7 +52,7 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
     except Exception as error:  # a text that tomlkit reads or writes wrongly
         cause = error
     names = listing(".".join(replacement.path) for replacement in replacements)
-    raise InputError(f"{names} cannot be replaced in the text; write each on a line of its own, below its section") from cause
+    raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause
 
 
 def _changed(text: str, replacements: Sequence[Replacement]) -> str:

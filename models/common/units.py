@@ -63,13 +63,13 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     if COMMA.match(text):
         raise InputError(f"{said} has a decimal comma; write a decimal point, as in {_example(unit)}")
     if match is None:
-        raise InputError(f"{said} is not a number; give a number{'' if pure else f' in {unit}, or one with its unit'}")
+        raise InputError(f"{said} is not a number; give a number{'' if pure else f' in {unit}, or a number with its unit'}")
     number, written = match.groups()
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         unknown = "the unknown unit" if size is None else "the unit"
         expected = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
-        raise InputError(f"{said} has {unknown} {quoted(written)}, and {expected}, as in {_example(unit)}")
+        raise InputError(f"{said} has {unknown} {quoted(written)}, but {expected}, as in {_example(unit)}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
@@ -90,7 +90,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
         return value
     number = quantity(value, unit, what)
     if match and not match[2]:
-        raise InputError(f"{what} = {quoted(value)} has no unit; add it, as in {_example(unit)}, or omit the quotes")
+        raise InputError(f"{what} = {quoted(value)} has no unit; add the unit, as in {_example(unit)}, or omit the quotes")
     return number
 
 

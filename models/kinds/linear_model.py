@@ -74,7 +74,7 @@ class LinearModel:
         for what in ("states", "inputs", "disturbances", "outputs", "loads"):
             names = getattr(self, what)
             if len(set(names)) < len(names):
-                raise InputError(f"{what} = {quoted(names)} are not all different; give each a name of its own")
+                raise InputError(f"{what} = {quoted(names)} contains a name twice; give different names")
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
         pushes = len(self.loads)
         if not pushes:
@@ -98,11 +98,11 @@ class LinearModel:
         }
         for name, shape in shapes.items():
             if np.iscomplexobj(getattr(self, name)):
-                raise InputError(f"{name} has complex entries; give real ones")
+                raise InputError(f"{name} has complex entries; give real numbers")
             matrix = np.array(getattr(self, name), dtype=float)
-            check_shape(name, matrix, shape, "as the names of states, inputs, disturbances, outputs and loads say")
+            check_shape(name, matrix, shape, "which follows from the numbers of states, inputs, disturbances, outputs and loads")
             for row, column in np.argwhere(~np.isfinite(matrix))[:1]:
-                raise InputError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite")
+                raise InputError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite; give finite numbers")
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 
@@ -230,6 +230,6 @@ class LinearModel:
         """
         for signal in signals:
             if signal not in self.outputs:
-                raise InputError(f"unknown signal {signal!r}; this vehicle has {listing(self.outputs)}")
+                raise InputError(f"unknown signal {signal!r}; this vehicle has the signals {listing(self.outputs)}")
         index = [self.outputs.index(signal) for signal in signals]
         return self.C[index], self.D[index]

@@ -45,18 +45,18 @@ def _optional(name: str, unit: str, meaning: str, smallest: float = LOWEST) -> P
 
 
 ROLL_CENTRES = tuple(
-    _optional(f"roll_centre_height_{axle}", "m", f"over the ground, {axle}; the body rolls about the axis through both")
+    _optional(f"roll_centre_height_{axle}", "m", f"{axle}, above the ground; the body rolls about the line through both")
     for axle in AXLES
 )
-PITCH_CENTRE = _optional("pitch_centre_height", "m", "over the ground, of the axis about which the body pitches")
+PITCH_CENTRE = _optional("pitch_centre_height", "m", "height above the ground of the axis about which the body pitches")
 LENGTHWAYS = (
     PITCH_CENTRE,
     *(
-        _optional(f"wheel_centre_height_{axle}", "m", f"over the ground, {axle}, where the wheel's own mass pushes", smallest=0.0)
+        _optional(f"wheel_centre_height_{axle}", "m", f"{axle}, above the ground, where the wheel's inertia acts", smallest=0.0)
         for axle in AXLES
     ),
     *(
-        _optional(name, "1", f"share of its axle's part of m_s a h that links carry under {what}")
+        _optional(name, "1", f"share of the axle's part of the moment m_s a h that links carry under {what}")
         for what, names in UNDER.items()
         for name in names
     ),
@@ -116,7 +116,7 @@ def track(axle: str, p: Parameters) -> float:
         InputError: neither is given.
     """
     if (own := p.get(f"track_{axle}", p.get("track"))) is None:
-        raise InputError(f"parameter 'track' [m] is missing, from a left wheel to the right one; give it, or track_{axle}")
+        raise InputError(f"the distance of left and right wheels is missing; give track or track_{axle}, in m")
     return own
 
 
@@ -124,8 +124,8 @@ def left_out(p: Parameters, angles: Collection[str]) -> str:
     """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
     axes = (("rolls", "roll_angle", ROLL_CENTRES[0]), ("pitches", "pitch_angle", PITCH_CENTRE))
     turning = [turns for turns, angle, part in axes if angle in angles and part.name not in p]
-    how = "turns" if len(turning) == len(angles) else " and ".join(turning)
-    return f"the moment of the body's own weight as it {how} is left out" if turning else ""
+    how = " and ".join(turning)
+    return f"the model neglects the moment of the body's own weight as the body {how}" if turning else ""
 
 
 def check_links(p: Parameters) -> None:
@@ -134,7 +134,7 @@ def check_links(p: Parameters) -> None:
     if len(given) == 1:
         other = next(part.name for part in ROLL_CENTRES if part.name not in p)
         raise InputError(
-            f"{given[0]} is given, but {other} is not; the body rolls about the axis through both: give both or neither"
+            f"{given[0]} is given without {other}, but the roll axis runs through both roll centres; give both or neither"
         )
 
 

@@ -54,7 +54,7 @@ from models.kinds.strut_and_tyre import write_strut, write_tyre
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
-    "centre_height", "m", "h, of the body's centre of mass above the ground: braking and cornering apply m_s a h", usual=0.55
+    "centre_height", "m", "h, of the centre of mass above the ground; braking and cornering apply the moment m_s a h", usual=0.55
 )
 AXLES = ("front", "rear")
 
@@ -310,8 +310,8 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
     radius = float(np.sqrt(inertia / mass))
     if radius > size:
         raise InputError(
-            f"{name} = {inertia:g} kg m2 is an inertia that no body of {mass:g} kg can have: its radius of gyration would be "
-            f"{radius:.3g} m, more than the {of} of {size:g} m; give at most {mass * size**2:.4g}"
+            f"{name} = {inertia:g} kg m2 is too large for a body of {mass:g} kg: its radius of gyration would be "
+            f"{radius:.3g} m, more than the {of} of {size:g} m; give at most {mass * size**2:.4g} kg m2"
         )
 
 
@@ -324,13 +324,13 @@ def check_stands(body: RigidBody) -> None:
     try:
         freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
     except np.linalg.LinAlgError:
-        raise InputError("the body falls over: nothing holds it against its weight; give it springs, or no axis") from None
+        raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
     for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(freed) - 1], start=1):
         holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
-                f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, and springs, bars and tyres "
-                f"hold it with {holding:.4g}; give stiffer ones, or higher {centres}"
+                f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, but springs, bars and tyres "
+                f"hold it with only {holding:.4g} N m/rad; give stiffer springs, bars or tyres, or higher {centres}"
             )
 
 

@@ -45,15 +45,15 @@ ROAD_DISPLACEMENT = Signal("road_displacement", "z_r", "m", "road height under t
 ROAD_VELOCITY = Signal("road_velocity", "w", "m/s", "vertical velocity of the road under the wheel, up")
 SUSPENSION_DEFLECTION = Signal("suspension_deflection", "z_s - z_u", "m", "suspension extension")
 SUSPENSION_VELOCITY = Signal(
-    "suspension_velocity", "z_s' - z_u'", "m/s", "velocity of the suspension, positive where it stretches"
+    "suspension_velocity", "z_s' - z_u'", "m/s", "extension velocity of the suspension, positive in extension"
 )
-TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, negative when squeezed")
+TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, negative in compression")
 SPRUNG_VELOCITY = Signal("sprung_velocity", "z_s'", "m/s", "vertical velocity of the sprung mass, up")
 UNSPRUNG_VELOCITY = Signal("unsprung_velocity", "z_u'", "m/s", "vertical velocity of the unsprung mass, up")
 SPRUNG_ACCELERATION = Signal("sprung_acceleration", "z_s''", "m/s2", "vertical acceleration of the sprung mass, up")
-SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass over its rest on a flat road")
-UNSPRUNG_DISPLACEMENT = Signal("unsprung_displacement", "z_u", "m", "height of the unsprung mass over its rest on a flat road")
-HEAVE_DISPLACEMENT = Signal("heave_displacement", "z", "m", "height of the body's centre of mass over its rest on a flat road")
+SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass above its rest on a flat road")
+UNSPRUNG_DISPLACEMENT = Signal("unsprung_displacement", "z_u", "m", "height of the unsprung mass above its rest on a flat road")
+HEAVE_DISPLACEMENT = Signal("heave_displacement", "z", "m", "height of the body's centre of mass above its rest on a flat road")
 UNSPRUNG_ACCELERATION = Signal("unsprung_acceleration", "z_u''", "m/s2", "vertical acceleration of the unsprung mass, up")
 HEAVE_VELOCITY = Signal("heave_velocity", "z'", "m/s", "vertical velocity of the body's centre of mass, up")
 PITCH_RATE = Signal("pitch_rate", "theta'", "rad/s", "pitch velocity of the body, nose down")
@@ -61,13 +61,13 @@ ROLL_RATE = Signal("roll_rate", "phi'", "rad/s", "roll velocity of the body, rig
 HEAVE_ACCELERATION = Signal("heave_acceleration", "z''", "m/s2", "vertical acceleration of the body's centre of mass, up")
 PITCH_ACCELERATION = Signal("pitch_acceleration", "theta''", "rad/s2", "pitch acceleration of the body, nose down")
 ROLL_ACCELERATION = Signal("roll_acceleration", "phi''", "rad/s2", "roll acceleration of the body, right side down")
-CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive lifts the body and presses the wheel down")
-DAMPING = Signal("damping", "c", "N s/m", "coefficient of the adjustable damper")
-MISSING_FORCE = Signal("missing_force", "u* - u", "N", "force asked of the adjustable damper that it did not give at its sample")
-HEAVE_LOAD = Signal("heave_load", "F", "N", "force from outside on the body at its centre of mass, up")
-PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "moment from outside on the body, nose down")
-ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "moment from outside on the body, right side down")
-WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force of links and of the wheel's own mass on it, up")
+CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive if it lifts the body and presses the wheel down")
+DAMPING = Signal("damping", "c", "N s/m", "damping coefficient of the semi-active damper")
+MISSING_FORCE = Signal("missing_force", "u* - u", "N", "requested force that the semi-active damper did not reach at its sample")
+HEAVE_LOAD = Signal("heave_load", "F", "N", "external force on the body at its centre of mass, up")
+PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "external moment on the body, nose down")
+ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "external moment on the body, right side down")
+WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force on the wheel by links and by the inertia of its own mass, up")
 
 OWN = "own"  # unit of a controller's state, whose meaning only its law knows
 KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
@@ -87,7 +87,7 @@ def load_signal(name: str) -> Signal:
 
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
     """Returns one signal for each state of a controller."""
-    about = "state of the controller, in its own coordinates, as it was at its last sample"
+    about = "state of the controller at its last sample, in the controller's own coordinates"
     return tuple(Signal(f"{KEPT}{name}", f"x_c {name}", OWN, about) for name in names)
 
 

@@ -23,7 +23,7 @@ from models.kinds.signals import TYRE_DEFLECTION
 
 STATIC_LOAD = "fitted_static_load_"  # prefix of the actuator with the constant force, before its tendon
 TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; no kind imports MuJoCo
-TYRE_DAMPING = "of a tyre on the road, between hub and road; in the air it has none"
+TYRE_DAMPING = "damping of a tyre between hub and road; a tyre without contact has no damping"
 DAMPER = "fitted_damped_"  # prefix of the actuator of a tyre with damping, after its tendon
 MOST_FORCE = 1e9  # N; above any tyre's force, and below the limit at which MuJoCo reports a mistake
 

@@ -22,7 +22,7 @@ from models.laws.user_code import compiled, run_own
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals of a wheel
 EQUATIONS = ("linear_model", "static_tyre_deflection", "angles", "write_mjcf")
-GIVE = "give the equations of the vehicle type, as docs/how-to/custom-vehicle-type.md shows them"
+GIVE = "give the equations of the vehicle type as in docs/how-to/custom-vehicle-type.md"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
@@ -33,17 +33,17 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
             if they fail, and `check_together` also if their results are wrong.
     """
     path = folder / f"{name}.py"
-    what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
+    what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
     module.__dict__.update(__file__=str(path), print=print_to_stderr)
-    code = compiled(what, path, read_text(path, "kind of vehicle", GIVE))
+    code = compiled(what, path, read_text(path, "vehicle type", GIVE))
     run_own(what, path, "the file", lambda: exec(code, vars(module)))
     kind = vars(module).get("KIND")
     with _located(path):
         if not isinstance(kind, VehicleKind):
-            has = f"its KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "it has no KIND"
-            raise InputError(f"{has}; end it with KIND = VehicleKind(...), as docs/how-to/custom-vehicle-type.md shows")
+            has = f"KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "the file defines no KIND"
+            raise InputError(f"{has}; end the file with KIND = VehicleKind(...), as in docs/how-to/custom-vehicle-type.md")
         if kind.name != name:
-            raise InputError(f"its KIND is called {kind.name!r}; call it {name!r}, as its files are")
+            raise InputError(f"its KIND has the name {kind.name!r}; give it the name {name!r} of its files")
         check_parts(kind)
     return _guarded_kind(path, replace(kind, folder=folder))
 
@@ -71,10 +71,10 @@ def check_parts(kind: VehicleKind) -> None:
     for what, given in names.items():
         for name in given:
             if not name.isidentifier() or name.startswith(KEPT):
-                rule = f"give letters, digits and '_', no digit first, and no name that begins with {KEPT}"
+                rule = f"use letters, digits and '_', without a digit first or {KEPT} at the beginning"
                 raise InputError(f"{what}: {name!r} is not allowed; {rule}")
             if given.count(name) > 1:
-                raise InputError(f"{what}: {name!r} is there twice; give each a name of its own")
+                raise InputError(f"{what}: the name {name!r} is used twice; use each name once")
     signals = [signal.name for signal in kind.signals]
     for what, name, known in (
         *((f"a wheel's {part}", getattr(wheel, part), signals) for wheel in kind.wheels for part in ROAD),
@@ -92,7 +92,7 @@ def check_parts(kind: VehicleKind) -> None:
     for part in kind.suspensions:
         for name in filter(None, (part.stiffness, part.damping)):
             if ratios.setdefault(name, part.ratio) != part.ratio:
-                raise InputError(f"{name} is of suspensions with different motion ratios; give each suspension its own parameter")
+                raise InputError(f"suspensions with different motion ratios share {name}; give each suspension its own parameter")
 
 
 def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
@@ -112,13 +112,13 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
         _check_model(check("linear_model(parameters)", model, LinearModel), kind)
         tyres = [wheel.tyre_deflection for wheel in kind.wheels]
         if check("static_tyre_deflection(parameters)", rest, Mapping[str, Positive]).keys() != set(tyres):
-            raise InputError(f"static_tyre_deflection gives {listing(rest)}; give one number for each of {listing(tyres)}")
+            raise InputError(f"static_tyre_deflection returns {listing(rest)}; return one number for each of {listing(tyres)}")
         signals = {signal.name for signal in kind.signals}
         for angle, parts in check("angles(parameters)", angles, Mapping[str, Mapping[str, float]]).items():
             if angle not in ("pitch_angle", "roll_angle") or not signals.issuperset(parts):
                 raise InputError(
-                    f"angles gives {angle!r} of {listing(parts)}; give {{'pitch_angle': {{signal: factor}}}}, 'roll_angle' "
-                    "likewise, of the kind's signals"
+                    f"angles returns {angle!r} as a sum of {listing(parts)}; return {{'pitch_angle': {{signal: factor}}}}, or "
+                    "'roll_angle', with signals of the vehicle type"
                 )
 
 
@@ -129,30 +129,30 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven
     forces = {suspension.force for suspension in kind.suspended or () if suspension.force}
     if model.tyres_damp:
-        raise InputError("linear_model gives Bt or Dw, of tyres that damp, which only built-in vehicle types have; omit them")
+        raise InputError("linear_model returns Bt or Dw for tyre damping; omit both, as only built-in vehicle types have it")
     for what, given, wanted in (
         ("disturbances", model.disturbances, roads),
         ("loads", model.loads, tuple(load.name for load in kind.loads)),
     ):
         if given != wanted:
-            names = f"{first_few(given) or 'none'}; give those of the kind, in its order: {first_few(wanted) or 'none'}"
-            raise InputError(f"linear_model gives the {what} {names}")
+            names = f"{first_few(given) or 'none'}; return those of the vehicle type in its order, {first_few(wanted) or 'none'}"
+            raise InputError(f"linear_model returns the {what} {names}")
     for what, names in {
-        "no states; give at least one": () if model.states else ("",),
-        "no input {}, the force of a suspension; add it": forces - {*model.inputs},
-        "no output {}, a signal of the kind; add it, or remove it from the signals": signals - {*model.outputs},
-        "an output {}, which is not a signal of the kind; add it to the signals": {*model.outputs} - signals,
-        "a state or input {} that is not an output; add it to them": {*model.states, *model.inputs} - {*model.outputs},
+        "no states; return at least one": () if model.states else ("",),
+        "no input {}, which is the force of a suspension; add this input": forces - {*model.inputs},
+        "no output {}, which is a signal of the vehicle type; add the output, or remove the signal": signals - {*model.outputs},
+        "an output {}, which is not a signal of the vehicle type; add it to the signals": {*model.outputs} - signals,
+        "a state or input {} that is not an output; add it to the outputs": {*model.states, *model.inputs} - {*model.outputs},
         "a state or input {} that is a signal on demand; add it to signals": {*model.states, *model.inputs} & {*kind.unnamed},
     }.items():
         if names:
-            raise InputError(f"linear_model gives {what.format(repr(min(names)))}")
+            raise InputError(f"linear_model returns {what.format(repr(min(names)))}")
     for names, own, others in ((model.states, model.C, (model.D, model.Cr)), (model.inputs, model.D, (model.C, model.Cr))):
         rows = [model.outputs.index(name) for name in names]
         wrong = np.any(own[rows] != np.eye(len(names)), axis=1) | np.any([other[rows].any(axis=1) for other in others], axis=0)
         if wrong.any():
             name = names[int(np.argmax(wrong))]
-            raise InputError(f"linear_model gives an output {name!r} that is not the state or input of that name; fix its rows")
+            raise InputError(f"linear_model: the output {name!r} is not the state or input of this name; correct its rows")
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
@@ -162,7 +162,7 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
         @wraps(function)
         def call(*arguments: Any) -> Any:
             *others, parameters = arguments
-            return run_own(f"kind of vehicle {path}", path, name, lambda: function(*others, dict(parameters)), refuses)
+            return run_own(f"vehicle type {path}", path, name, lambda: function(*others, dict(parameters)), refuses)
 
         return call
 
@@ -187,5 +187,5 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 @contextmanager
 def _located(path: Path) -> Iterator[None]:
     """Adds the file's name to an InputError."""
-    with error_in(f"kind of vehicle {path}:"):
+    with error_in(f"vehicle type {path}:"):
         yield

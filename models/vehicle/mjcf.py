@@ -26,7 +26,7 @@ from models.vehicle.vehicle import Vehicle
 # MuJoCo's bindings carry no type stubs.
 
 
-GIVE = "give the model of the kind of vehicle"
+GIVE = "give the MuJoCo model of the vehicle type"
 FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
@@ -111,9 +111,7 @@ def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
         except MUJOCO_SAYS:
             whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
         else:
-            whose = (
-                f"kind of vehicle {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
-            )
+            whose = f"vehicle type {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
         raise InputError(f"{whose} ({_said(error)}); correct it") from error
 
 

@@ -165,7 +165,7 @@ def test_a_description_has_names_units_and_signs(folder):
         "sprung_velocity": ("input", "m/s"),
         "control_force": ("output", "N"),
     }
-    assert "positive lifts the body" in description.modelVariables[2].description
+    assert "positive if it lifts the body" in description.modelVariables[2].description
     assert description.coSimulation.canHandleVariableCommunicationStepSize is False
 
 

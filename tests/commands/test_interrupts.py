@@ -24,8 +24,8 @@ ENDS = [  # how `main` ends, the exit code, and stderr
     ("import models.common.command; exec('raise KeyboardInterrupt')", 130, "roadproof: interrupted\n"),  # as in a dataclass
     ("import turned", 130, "roadproof: interrupted\n"),  # compiled modules turn it into an error of their own
     ("import finalised; finalised.wait()", 130, "roadproof: interrupted\n"),  # while a finaliser runs, where Python forgets it
-    ("1 / 0", 1, "roadproof: child fails with an unexpected ZeroDivisionError: division by zero; --traceback shows where\n"),
-    ("open('missing')", 1, "roadproof: child fails with an unexpected FileNotFoundError: [Errno 2] No such file or directory: "),
+    ("1 / 0", 1, "roadproof: child failed with an unexpected ZeroDivisionError: division by zero; --traceback shows where\n"),
+    ("open('missing')", 1, "roadproof: child failed with an unexpected FileNotFoundError: [Errno 2] No such file or directory: "),
     ("raise BrokenPipeError", 0, ""),
     ("import numpy; numpy.zeros(1) / 0", 0, ""),  # the command says in words what overflows
 ]

@@ -67,7 +67,7 @@ REFUSED = [
     ("sim.sweep --speed 12.5", "--speed matters to rear wheels only"),
     ("sim.envelope --controller I MAP --height 0.1", "--vary height varies it"),
     ("sim.envelope --controller I --controller II MAP", "--controller: is given twice"),
-    ("sim.envelope --controller all MAP", "all is not allowed, as this command takes one controller"),
+    ("sim.envelope --controller all MAP", "all is not allowed, because this command takes only one controller"),
     ("sim.envelope --controller I MAP --csv car.toml --vehicle car.toml", "is an input file"),
     ("sim.envelope --controller I MAP --csv hard.csv --vehicle car.toml", "is an input file"),
     ("sim.envelope --controller I MAP --csv a.csv --picture a.svg", "is the file of --csv, too"),

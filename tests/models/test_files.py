@@ -162,7 +162,7 @@ def test_text_is_read(tmp_path):
 
 
 @POSIX
-@pytest.mark.parametrize("kind", ["is a folder", "a loop", "is a link to nothing", "there is no such file"])
+@pytest.mark.parametrize("kind", ["is a folder", "a loop", "it is a link to a file", "there is no such file"])
 def test_what_cannot_be_read_is_one_line(tmp_path, kind):
     """One line names the purpose, the path, the reason and what to do."""
     path = tmp_path / "car.toml"

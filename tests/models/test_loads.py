@@ -316,17 +316,17 @@ def test_a_file_is_its_numbers(tmp_path):
     [
         ("", ["is empty", "time [s]"]),
         ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s with heave", "begin at 0 s"]),
-        ("time, pitch\n0, 0\n1, 1\n", ["column 1, 'time', has no unit; allowed: ms, s; write time [s] above it"]),
-        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["column 2, 'pitch [N]', is in 'N'; allowed: N m, kN m"]),
+        ("time, pitch\n0, 0\n1, 1\n", ["column 1, 'time', has no unit (allowed: ms, s); write the heading time [s]"]),
+        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["column 2, 'pitch [N]', has the unit 'N' (allowed: N m, kN m"]),
         (
             "time [s], yaw [N m]\n0, 0\n1, 1\n",
-            ["column 2 is called 'yaw [N m]', and none of heave (positive: up), pitch (positive: nose down)"],
+            ["column 2 is called 'yaw [N m]', which is not one of heave (positive: up), pitch (positive: nose down)"],
         ),
-        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["two columns are called 'pitch'; omit one of them"]),
+        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["two columns are called 'pitch'; remove one"]),
         ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["columns are pitch, roll"]),
         ("time [s], pitch [N m]\n0, 0\n1, nan\n", ["line 3, column 2: 'nan' is not a finite number"]),
         ("time [s], pitch [N m]\n0, 0\n1, x\n", ["line 3, column 2: 'x' is not a finite number"]),
-        ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 column(s), and line 2 has 2"]),
+        ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 column(s), but line 2 has 2"]),
         ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "1 s, is not after", "sort"]),
         ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 rows", "to 20000"]),
     ],
@@ -424,7 +424,7 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert f"angles [deg] pitch dive pitch squat pitch at end roll peak roll at end passive {angles} " in brief
     assert main([*arguments, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert "The moment of the body's own weight as it turns is left out." in printed
+    assert "The model neglects the moment of the body's own weight as the body rolls and pitches." in printed
     assert f"pitch_angle dive deg {metrics['pitch_angle_dive']['mujoco']:.4g}" in printed
     assert f"roll_angle peak deg {metrics['roll_angle_peak']['mujoco']:.4g}" in printed
     assert f"roll_angle {run['static_angles'][ROLL]:.4g} deg. Pitch is positive nose down" in printed

@@ -252,7 +252,7 @@ def test_from_is_the_rest_of_the_file(tmp_path):
         (["--class", "C"], "--from sets the start on a road from a file"),
         (["--road", "bump"], "--from sets the start on a road from a file"),
         (["--road", "rig:file=drive.csv"], "--from sets the start on a road from a file"),
-        (["--road", f"{UNEVEN}:from=3"], "from is given twice, '3' and '5.0'"),
+        (["--road", f"{UNEVEN}:from=3"], "from is given twice, as '3' and as '5.0'"),
     ],
 )
 def test_from_needs_a_file(arguments, said):
@@ -451,7 +451,7 @@ def test_poly_line(tmp_path):
         ("'poly_line'", "'sine'", "ROAD_TYPE = 'sine' is not read"),
         ("(XZ_DATA)", "", "has no table (XZ_DATA)"),
         ("1020 -100", "1020 x", "line 12, column 2: 'x' is not a finite number"),
-        ("'mm'", "'furlong'", "is in 'furlong'; allowed: "),
+        ("'mm'", "'furlong'", "has the unit 'furlong' (allowed: "),
         ("LENGTH = 'mm'", "", "has no LENGTH in [UNITS]"),
         ("OFFSET = 0", "ROTATION_ANGLE_XY_PLANE = 90 $ degrees", "ROTATION_ANGLE_XY_PLANE = 90 turns the road"),
     ):
@@ -519,5 +519,5 @@ def test_opencrg_between_its_lines(tmp_path):
     (tmp_path / "other" / "names.crg").write_text("$CT\n$ROAD_CRG_FILE\n ../road.crg ! data are there\n$\n")
     there = read_surface(tmp_path / "other" / "names.crg")
     assert np.array_equal(there.z, read_surface(tmp_path / "road.crg").z)
-    with refused("OpenCRG file contains its own units", "'join=smooth' is not NAME=VALUE with a NAME out of from"):
+    with refused("OpenCRG file contains its own units", "'join=smooth' is not a setting NAME=VALUE; NAME must be one of from"):
         choose_road("road.crg:join=smooth", tmp_path)

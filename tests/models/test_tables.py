@@ -77,7 +77,7 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
         ("time [s];heave [N]\n0;1\n1;2,5,3\n", "line 3, column 2: '2,5,3' is not a finite number; give"),
         (
             "time [s];heave [N]\n0;1\n1;1.234,5\n",
-            "both comma and dot are in numbers: line 3 has '1.234,5'; write",
+            "numbers contain both commas and dots: line 3 has '1.234,5'; write",
         ),
         ("time [s] heave [N]\n1.300,0 1\n1400 2\n", "line 2, column 2: '0 1' is not a finite number"),
         ('time [s],heave [N]\n"0,5","-1.350"\n', "line 2 has '0,5' and line 2 has '-1.350'; write"),
@@ -86,11 +86,11 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
             "time [s];heave [N]\nx;1\n1;2\n",
             "the heading of column 2 is '1', not a name; begin lines that are not headings with #",
         ),
-        ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 names its 2 column(s); give"),
-        ("0,1\n1,2\n", "no line above line 1 names its 2 column(s)"),
-        ("time,heave\ns,furlong\n0,1\n1,2\n", "column 1 is called 's', and none of heave"),
+        ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 has headings for its 2 column(s); give"),
+        ("0,1\n1,2\n", "no line above line 1 has headings for its 2 column(s)"),
+        ("time,heave\ns,furlong\n0,1\n1,2\n", "column 1 is called 's', which is not one of heave"),
         ("time [s],heave [N]\nms,N\n0,1\n1,2\n", "the headings 'time [s]' and 'ms' of column 1 contradict each other"),
-        ("time [s],heave [N]\n0,1\n1\n", "line 3 has 1 column(s), and line 2 has 2"),
+        ("time [s],heave [N]\n0,1\n1\n", "line 3 has 1 column(s), but line 2 has 2"),
     ],
 )
 def test_wrong_tables(text, said):
@@ -103,7 +103,7 @@ def test_wrong_tables(text, said):
 def test_one_decimal_mark(caller, tmp_path):
     """Every caller refuses decimal commas together with dots, which may separate thousands."""
     text = "\n".join(written(caller, ";", ",", "", False, "beside")).replace("12,5", "1.250")
-    with refused("both comma and dot are in numbers: line", "and line"):
+    with refused("numbers contain both commas and dots: line", "and line"):
         read(caller, text, tmp_path)
 
 

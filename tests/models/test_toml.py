@@ -60,7 +60,7 @@ def test_only_the_key_is_replaced(before, after):
 
 def test_a_text_that_cannot_be_edited():
     """If an edit would not give exactly the values, one line asks for a line of its own."""
-    with pytest.raises(InputError, match=r"^a\.b\.file cannot be replaced in the text; write each on a line of its own"):
+    with pytest.raises(InputError, match=r"^a\.b\.file cannot be replaced in the file; write each key on its own line"):
         with_replacements("a = { b.file = 'm' }\n", [Replacement(("a", "b", "file"), VALUES)])
 
 
@@ -88,5 +88,5 @@ def test_a_text_that_is_not_toml(tmp_path, text, said):
     file = tmp_path / "mine.toml"
     file.write_text(text)
     for read, what in ((read_vehicle, "vehicle"), (read_campaign, "campaign")):
-        with pytest.raises(InputError, match=f"^{what} file {file}: not TOML: .*{said}"):
+        with pytest.raises(InputError, match=f"^{what} file {file}: this is not valid TOML: .*{said}"):
             read(file)

@@ -19,8 +19,8 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 
 # (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
 CHANGES = [
-    ("a decimal comma", MASS, "sprung_mass = 504,5", ["not TOML", "write 504.5 for 504,5"]),
-    ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
+    ("a decimal comma", MASS, "sprung_mass = 504,5", ["not valid TOML", "write 504.5 for 504,5"]),
+    ("a key twice", MASS, f"{MASS}\n{MASS}", ["not valid TOML", "line 6"]),
     (
         "unknown section",
         "[performance]",
@@ -133,7 +133,7 @@ ADDED = {
         ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
         (
             'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
-            "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or omit the quotes",
+            "suspension_stroke = '0.1' has no unit; add the unit, as in \"1.5 m\", or omit the quotes",
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         ('actuator_force = 1.0\nlimit = "both"', "limit = 'both' is not allowed; give 'force' or 'command'"),

@@ -455,10 +455,10 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
 @pytest.mark.parametrize(
     ("kind", "lines", "words"),
     [
-        ("full_car", "roll_centre_height_front = 0.1", ["roll_centre_height_rear is not", "give both or neither"]),
+        ("full_car", "roll_centre_height_front = 0.1", ["without roll_centre_height_rear", "give both or neither"]),
         ("full_car", f"{ON_THE_GROUND}\ncentre_height = 3.0", ["falls over as it rolls", "N m/rad", "stiffer", "roll centres"]),
         ("half_car", "pitch_centre_height = -2.0\ncentre_height = 30.0", ["falls over as it pitches", "pitch centre"]),
-        ("half_car", ON_THE_GROUND, ["only heaves and pitches", "take a full_car"]),
+        ("half_car", ON_THE_GROUND, ["only heaves and pitches", "use a full_car"]),
         ("full_car", "track_front = -1.0", ["track_front = -1.0"]),
         ("full_car", "anti_dive_front = 4.0", ["anti_dive_front = 4.0", "from -2 to 3"]),
         ("full_car", "wheel_centre_height_rear = -0.1", ["wheel_centre_height_rear", "from 0 to 3 m"]),
@@ -493,7 +493,7 @@ def test_commands_say_what_is_modelled(tmp_path, capsys):
     arguments = ["--vehicle", str(path), "--controller", "passive", "--load", "corner:g=0.3"]
     assert drive([*arguments, "--duration", "1", "--timestep", "4e-3", "--logs", str(logs), "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    assert "The moment of the body's own weight as it pitches is left out." in said
+    assert "The model neglects the moment of the body's own weight as the body pitches." in said
     (log,) = logs.glob("*.mcap")
     assert any(b"wheel_load_front_right" in schema.data for schema in contents(log).schemas)
     assert inspect([str(log)]) == 0

@@ -35,14 +35,14 @@ def test_sizes_of_units(text, unit, value):
 
 
 @pytest.mark.parametrize(("text", "unit", "said"), [
-    ("380 N", "kg", "key = '380 N' has the unit 'N', and a unit of kg is expected, as in \"1.5 kg\""),
-    ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', and a unit of m is expected, as in \"1.5 m\""),
-    ("5 m", "1", "key = '5 m' has the unit 'm', and a pure number is expected; omit the unit, as in \"1.5\""),
-    ("heavy", "kg", "key = 'heavy' is not a number; give a number in kg, or one with its unit"),
-    ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', and a unit of m/s is expected, as in \"1.5 m/s\""),
+    ("380 N", "kg", "key = '380 N' has the unit 'N', but a unit of kg is expected, as in \"1.5 kg\""),
+    ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', but a unit of m is expected, as in \"1.5 m\""),
+    ("5 m", "1", "key = '5 m' has the unit 'm', but a pure number is expected; omit the unit, as in \"1.5\""),
+    ("heavy", "kg", "key = 'heavy' is not a number; give a number in kg, or a number with its unit"),
+    ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', but a unit of m/s is expected, as in \"1.5 m/s\""),
     ("504,5 kg", "kg", "key = '504,5 kg' has a decimal comma; write a decimal point, as in \"1.5 kg\""),
-    ("200 Hz", "s", "key = '200 Hz' has the unit 'Hz', and a unit of s is expected, as in \"1.5 s\""),
-    ("2 kg", "g", "key = '2 kg' has the unit 'kg', and a unit of g is expected, as in \"1.5 g\""),
+    ("200 Hz", "s", "key = '200 Hz' has the unit 'Hz', but a unit of s is expected, as in \"1.5 s\""),
+    ("2 kg", "g", "key = '2 kg' has the unit 'kg', but a unit of g is expected, as in \"1.5 g\""),
 ])  # fmt: skip
 def test_wrong_units(text, unit, said):
     """An unknown unit, or one of another dimension, is refused in a line with what was found, what is expected and an example."""
@@ -51,7 +51,7 @@ def test_wrong_units(text, unit, said):
 
 
 @pytest.mark.parametrize(("delay", "said"), [
-    ('"0.5"', "delay = '0.5' has no unit; add it, as in \"1.5 s\", or omit the quotes"),
+    ('"0.5"', "delay = '0.5' has no unit; add the unit, as in \"1.5 s\", or omit the quotes"),
     ('"0,5 ms"', "delay = '0,5 ms' has a decimal comma; write a decimal point, as in \"1.5 s\""),
 ])  # fmt: skip
 def test_a_text_in_a_file_needs_its_unit(delay, said):
@@ -132,7 +132,7 @@ def test_vehicle_file(text):
     for pair in PAIR.finditer(text):
         wrong = f'{text[: pair.start()]}"3 kg2"{text[pair.end() :]}'
         with pytest.raises(
-            InputError, match=r"^\[.*\] \w+ = '3 kg2' has the unit 'kg2', and a (unit of .*|pure number) is expected"
+            InputError, match=r"^\[.*\] \w+ = '3 kg2' has the unit 'kg2', but a (unit of .*|pure number) is expected"
         ):
             parse_vehicle(PAIR.sub(lambda other: other[2], wrong))
 
@@ -146,11 +146,11 @@ def test_options(capsys):
     assert written[0] == main_of("sim.drive")([*arguments, "--road", plain, "--speed", "10"])
     first, second = json.loads(written[1]), json.loads(capsys.readouterr().out)
     assert first["runs"] == second["runs"]
-    with refused(match=r"argument --speed: '5 kg' has the unit 'kg', and a unit of m/s is expected, as in \"1.5 m/s\"; see"):
+    with refused(match=r"argument --speed: '5 kg' has the unit 'kg', but a unit of m/s is expected, as in \"1.5 m/s\"; see"):
         main_of("sim.drive")([*arguments, "--speed", "5 kg"])
-    with refused(match=r"depth = '6 s' has the unit 's', and a unit of m is expected"):
+    with refused(match=r"depth = '6 s' has the unit 's', but a unit of m is expected"):
         choose_road("pothole:depth=6 s")
-    with refused(match="--vary height = '20 kg' has the unit 'kg', and a unit of m is expected"):
+    with refused(match="--vary height = '20 kg' has the unit 'kg', but a unit of m is expected"):
         read_axes(["height:20 kg:0.3:5"])
     assert read_axes(["height:20mm:0.3:5", "speed:36 km/h:30:3"]) == read_axes(["height:0.02:0.3:5", "speed:10:30:3"])
 
@@ -164,5 +164,5 @@ def test_campaign(tmp_path):
     assert campaign.speeds == (10.0, 20.0)
     assert campaign.duration == 2.0
     assert all(400 <= sample["sprung_mass"] <= 600 for sample in campaign.samples["quarter_car"])
-    with pytest.raises(InputError, match="speeds = '36 kg' has the unit 'kg', and a unit of m/s is expected"):
+    with pytest.raises(InputError, match="speeds = '36 kg' has the unit 'kg', but a unit of m/s is expected"):
         parse_campaign(text.replace("36 km/h", "36 kg"), tmp_path / "campaign.toml")

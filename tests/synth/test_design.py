@@ -245,7 +245,7 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
         ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
-        ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A has complex entries; give real ones"),
+        ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A has complex entries; give real numbers"),
         ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); no more than 2000 rows"),
         ({"B": np.full((2, 1), 1e200)}, r"B has an entry beyond 1e\+50"),
         ({"Bw": np.full((2, 1), 1e-200)}, r"Bw has no entry above 1e-50 \(the largest is 1e-200\)"),

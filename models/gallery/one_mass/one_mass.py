@@ -32,7 +32,7 @@ def write_mjcf(spec, p):
 
 KIND = VehicleKind(
     name="one_mass",
-    parameters=(Parameter("mass", "kg", "all of it"), Parameter("stiffness", "N/m", "of its spring")),
+    parameters=(Parameter("mass", "kg", "mass of the whole vehicle"), Parameter("stiffness", "N/m", "stiffness of the spring")),
     signals=(signals.ROAD_DISPLACEMENT, signals.ROAD_VELOCITY, *OUTPUTS),
     wheels=(Wheel("road", signals.ROAD_DISPLACEMENT.name, signals.ROAD_VELOCITY.name, STATES[0]),),
     suspended=(Suspension(STATES[0], "suspension", signals.CONTROL_FORCE.name, stiffness="stiffness"),),

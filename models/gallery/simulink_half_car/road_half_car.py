@@ -75,11 +75,11 @@ def per_axle(name, unit, meaning, positive=True):
 KIND = VehicleKind(
     name="road_half_car",
     parameters=(
-        Parameter("mass", "kg", "of the body"),
-        Parameter("pitch_inertia", "kg m2", "of the body about its centre of mass"),
-        *per_axle("axle_distance", "m", "from the centre of mass to the axle"),
-        *per_axle("stiffness", "N/m", "of each of the axle's two springs"),
-        *per_axle("damping", "N s/m", "of each of the axle's two dampers", positive=False),
+        Parameter("mass", "kg", "mass of the body"),
+        Parameter("pitch_inertia", "kg m2", "pitch inertia of the body about its centre of mass"),
+        *per_axle("axle_distance", "m", "distance from the centre of mass to the axle"),
+        *per_axle("stiffness", "N/m", "stiffness of each of the axle's two springs"),
+        *per_axle("damping", "N s/m", "damping of each of the axle's two dampers", positive=False),
     ),
     signals=(*ROADS, *VELOCITIES, *OUTPUTS),
     wheels=tuple(
