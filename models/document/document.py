@@ -47,6 +47,7 @@ class Table:
         pivot: short form for a page, or None to show all columns that differ.
         detail: lowest level of detail at which it is shown.
         wide: headings of columns that a terminal has no room for.
+        keys: keys of the columns in JSON; empty if those are the headings.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Table:
     pivot: Pivot | None = None
     detail: Detail = "normal"
     wide: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
@@ -75,7 +77,8 @@ class Table:
     ) -> "Table":
         """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
         wide = tuple(field.title for field in fields if field.detail == "full")
-        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide)
+        keys = tuple(field.column or field.title for field in fields)
+        return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide, keys)
 
     @property
     def reading(self) -> Reading:
@@ -86,6 +89,11 @@ class Table:
     def whole(self) -> Reading | None:
         """Returns the whole table as a page shows it below the short form, or None if that is all."""
         return read(self.headings, self.rows, self.words) if self.pivot is not None else None
+
+    @property
+    def records(self) -> list[dict[str, str]]:
+        """Returns the rows for JSON, their cells by key."""
+        return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
 
     @property
     def csv(self) -> str:

@@ -24,6 +24,7 @@ class Field(Generic[Of]):
         key: key in JSON, for the value in SI units; empty to omit the quantity there.
         unit: unit in which it is written; empty if it has none, or if `form` writes it.
         detail: lowest level of detail at which it is a column of a table.
+        column: key of its column in the tables of a report in JSON; empty if that is the heading.
     """
 
     label: str
@@ -33,6 +34,7 @@ class Field(Generic[Of]):
     key: str = ""
     unit: str = ""
     detail: Detail = "normal"
+    column: str = ""
 
     @property
     def title(self) -> str:

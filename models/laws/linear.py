@@ -10,6 +10,7 @@ from scipy import linalg
 from models.common.arrays import Array, real_matrix
 from models.common.checks import Positive, check
 from models.common.errors import InputError
+from models.common.formats import entry, rough
 
 FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 MATRICES = ("A", "B", "C", "D")
@@ -253,8 +254,8 @@ def states_text(law: LinearLaw) -> str:
     count = f"{law.states} states" if law.states > 1 else "1 state"
     if law.sample_period is not None:
         pole = "its largest pole" if law.states > 1 else "its pole"
-        return f"{count}, every {1e3 * law.sample_period:g} ms; {pole} {np.abs(poles).max():.4g}"
-    least, most = (f"{rate:.4g}" for rate in (np.abs(poles).min(), np.abs(poles).max()))
+        return f"{count}, every {1e3 * law.sample_period:g} ms; {pole} {rough(np.abs(poles).max())}"
+    least, most = (rough(rate) for rate in (np.abs(poles).min(), np.abs(poles).max()))
     where = f"poles of {least} to {most}" if least != most else f"{'poles' if law.states > 1 else 'its pole'} of {least}"
     unstable = ", not all stable" if poles.real.max() > 0 else ""
     return f"{count}; {where} rad/s{unstable}"
@@ -262,4 +263,4 @@ def states_text(law: LinearLaw) -> str:
 
 def gain_text(gain: Array) -> str:
     """Returns a gain matrix on one line, as in a vehicle file."""
-    return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"
+    return "[" + ", ".join("[" + ", ".join(map(entry, row)) + "]" for row in gain) + "]"

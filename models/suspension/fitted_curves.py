@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import rough
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 from models.suspension.motion_ratio import RatioTable
@@ -102,7 +103,7 @@ def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
     bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
     return ", ".join(
-        f"{name} {curve.slope:.4g} (elsewhere {curve.slope_range[0]:.4g} to {curve.slope_range[1]:.4g})"
+        f"{name} {rough(curve.slope)} (elsewhere {rough(curve.slope_range[0])} to {rough(curve.slope_range[1])})"
         for name, curve in bent.items()
     )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
+from models.common.formats import about, rough
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS, STOP_NAMES
 
@@ -133,9 +134,8 @@ class Limits:
         if self.actuator_force is not None:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
-            phrases.append(
-                f"actuators that lag from {self.actuator_bandwidth / (2 * math.pi):.4g} Hz on ({self.actuator_bandwidth:g} rad/s)"
-            )
+            hertz = rough(self.actuator_bandwidth / (2 * math.pi))
+            phrases.append(f"actuators that lag from {hertz} Hz on ({self.actuator_bandwidth:g} rad/s)")
         return tuple(phrases)
 
 
@@ -317,10 +317,10 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
         frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
         if not SLOWEST_BODY <= frequency <= FASTEST_BODY:
             doubts.append(
-                f"the body's natural frequency is about {frequency:.2g} Hz; are sprung_mass and stiffness in kg and N/m?"
+                f"the body's natural frequency is about {about(frequency)} Hz; are sprung_mass and stiffness in kg and N/m?"
             )
         elif ratio > FIRMEST_BODY:
-            doubts.append(f"the body's damping ratio is about {ratio:.2g}; is the damping in N s/m?")
+            doubts.append(f"the body's damping ratio is about {about(ratio)}; is the damping in N s/m?")
     for name, text in limits.written.items():
         if "suspension_stroke" in name and float(text) > LONGEST_STROKE:
             doubts.append(f"{name} is {text} m; is it in m?")

@@ -220,7 +220,7 @@ def _end(watched: MonitoredBatch, i: int) -> dict[str, Any]:
     if flat < diverged:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(flat)}"
     elif overflow:
-        reason = f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=diverged)}"
+        reason = f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=WHEN.text(diverged))}"
     elif math.isfinite(diverged):
         reason = f"diverged: a signal is beyond {DIVERGED:g} at {WHEN.text(diverged)}"
     broken = LAW_OVERFLOW if overflow else DIVERGENCE

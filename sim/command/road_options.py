@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
+from models.common.formats import rough
 from models.common.printed import percent, wrapped
 from models.vehicle.names import CLASSES, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
@@ -159,9 +160,9 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
         return []
     if ends > duration:
-        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
-    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is straight from there on, which lowers every rms"
-    return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
+        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {rough(ends)} drives all of it")
+    lower = f"the road's points end at {rough(ends)} s of {duration:g} s; it is straight from there on, which lowers every rms"
+    return wrapped(f"{lower}: --duration {rough(ends)} measures the road alone")
 
 
 def road_text(options: argparse.Namespace) -> str:

@@ -41,7 +41,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.common.formats import difference
 from models.document.document import Document
+from models.document.field import Field
 from models.document.text import Shown, facts
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
 # Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
 # vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
 BALANCED = 1e-3
+JOULES = Field[float]("energy", float, ".5g", unit="J")
 # The same without kinks, over the fourth power of the step times the vehicle's fastest rate. Random vehicles of every
 # kind leave up to 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
@@ -102,8 +105,9 @@ class Energy(Shown):
     def shown(self) -> Document:
         """Returns whether it balances, and the energies."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
-        joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        return facts(f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules)
+        joules = {name: JOULES.text(getattr(self, name)) for name in names if getattr(self, name) is not None}
+        turnover = JOULES.text(self.turnover)
+        return facts(f"energy {self.verdict}: all but {difference(self.residual)} of the {turnover} turned over", joules)
 
     @property
     def fails(self) -> bool:

@@ -258,28 +258,15 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     return Document("Provenance and settings", tables)
 
 
-FORMER = {  # headings of tables by which JSON has them, as its keys do not change
-    "order of convergence": "order of the two",
-    "share of norm": "of that norm",
-    "largest norm": "worst norm",
-    "MuJoCo at the corners": "corners: MuJoCo and analysis say the",
-    "no limit reached": "nothing breaks",
-}
-
-
 def report_object(report: Report) -> dict[str, Any]:
     """Answer, tables and standings as in JSON."""
     page = report.page
-    tables = {
-        one.name: [{FORMER.get(name, name): cell for name, cell in zip(one.headings, row, strict=True)} for row in one.rows]
-        for one in page.whole.tables
-    }
     whole = {
         "title": page.title,
         "headline": page.headline,
         "lead": [f"{page.headline}."],
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
-        "tables": tables,
+        "tables": {one.name: one.records for one in page.whole.tables},
     }
     return json.loads(json.dumps({**whole, "compared": standings_object(report.compared)}))

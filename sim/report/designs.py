@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.formats import digits, entry
 from models.common.printed import as_name
 from models.document.document import Block, Document, Statement, Table, notes
 from models.document.document import statements as statements_on
@@ -13,10 +14,10 @@ from models.document.text import names_text
 from models.laws.linear import gain_text, states_text
 from models.vehicle.vehicle import Vehicle
 from sim.report.scope import Scope
-from synth.analysis.specification import Specification, digits
+from synth.analysis.specification import Specification
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
-from synth.controller.report import failures_of_sampled_loop, study_notes
+from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study_notes
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
 
@@ -93,7 +94,6 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
     Field("allowed", lambda of: of[1].at_most, digits),
     Field("kept", lambda of: "yes" if of[1].holds else "NO"),
 )
-ENTRY = Field[float]("entry", float, "{:.6g}".format)
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
@@ -113,7 +113,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
         together = " of all forces together" if len(forces) > 1 else ""
         caption = f"Law of {as_name(controller.name)}, {states_text(law)}: force amplitude{together} per unit of each signal."
     rows = tuple(
-        (name.replace("_", " "), per_unit(unit, kind.signal(name).unit), *map(ENTRY.digits, row))
+        (name.replace("_", " "), per_unit(unit, kind.signal(name).unit), *map(entry, row))
         for name, row in zip(controller.measured, entries.T.tolist(), strict=True)
     )
     return Table(f"gain-{controller.name}", caption, ("for each", "unit", *headings), rows, words=2)
@@ -153,8 +153,8 @@ def without_l(designer: Designer) -> Table:
     columns: tuple[Field[WithoutL], ...] = (
         Field("controller", lambda one: f"{one.controller}, states {one.states}"),
         Field("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
-        Field("bound", lambda one: "none" if one.bound is None else one.bound, ".5g"),
-        Field("state feedback", lambda one: one.best, ".5g"),
+        Field("bound", lambda one: "none" if one.bound is None else one.bound, BOUND.form),
+        Field("state feedback", lambda one: one.best, BOUND.form),
     )
     caption = "Remark 4: controllers by (25) with L = 0, in one step, with the states (30) and with those of [33]."
     return Table.of("without-l", caption, columns, remark_4(designer), detail="full")
@@ -166,7 +166,7 @@ def other_ways(designer: Designer) -> Table:
         Field("controller", lambda one: f"{one.controller}, {one.how}"),
         Field("work", lambda one: one.work),
         Field("gain", lambda one: gain_text(one.gain)),
-        Field("norm", lambda one: one.norm, ".6f"),
+        Field("norm", lambda one: one.norm, NORM.form),
         Field("processor time [s]", lambda one: one.seconds, ".2f"),
     )
     caption = f"Remark 5: the two steps and a genetic algorithm with gain entries from {-BOX:g} to {BOX:g}, seed {SEED}."

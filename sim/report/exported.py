@@ -1,5 +1,6 @@
 """The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
 
+from models.common.formats import entry
 from models.document.document import Document, Table, notes
 from sim.report.scope import Scope
 from sim.runs.report import code_notes, code_table, verdicts
@@ -25,7 +26,9 @@ def exported_section(scope: Scope) -> Document:
     ]
     if law.ranges is not None:
         ranges = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
-        rows += [(f"range of {name.replace('_', ' ')}", f"±{most:.6g} {unit}, {source}") for name, most, unit, source in ranges]
+        rows += [
+            (f"range of {name.replace('_', ' ')}", f"±{entry(most)} {unit}, {source}") for name, most, unit, source in ranges
+        ]
     facts = Table("exported", "Contents of the folder.", ("what", "value"), tuple(rows), words=2)
     said = (*verdicts([run], f"Over {scope.where}, exported code of "), *notes(*code_notes(effect, scope.vehicle)))
     return Document(TITLE, (*said, facts, code_table(effect, scope.vehicle)))

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from models.common.formats import digits
 from models.common.printed import as_name
 from models.document.document import Document, Table
 from models.document.field import Field
@@ -15,12 +16,13 @@ from models.vehicle.names import PASSIVE
 from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
 from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
-from sim.runs.report import verdict
+from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
 from sim.runs.steps import WHEN
 from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standing, best, compared_table, headline
+from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
-from sim.studies.validity.report import FOUND, OneEnd
+from sim.studies.validity.report import OneEnd
 from synth.controller.controller import Controller
 from synth.controller.report import NORM
 
@@ -30,7 +32,6 @@ PANELS = {  # of the first figure
     LOAD: "Dynamic tyre load",
     FORCE: "Largest force",
 }
-GOAL = Field[float]("value", float, ".4g")
 
 
 def first_screen(
@@ -43,7 +44,7 @@ def first_screen(
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """
-    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), ".2g", unit="deg")] if dive else []
+    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), RIDE.form, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
     return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 
@@ -78,8 +79,8 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
     rows = []
     for one in scope.controllers:
         for goal in (goal for goal in one.specifications if goal.at_most is not None):
-            what = f"{goal.what.replace('_', ' ')}, at most {goal.at_most:.6g} {goal.unit}".rstrip()
-            rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {GOAL.digits(goal.value)} {goal.unit}".rstrip()))
+            what = f"{goal.what.replace('_', ' ')}, at most {digits(goal.at_most)} {goal.unit}".rstrip()
+            rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {digits(goal.value)} {goal.unit}".rstrip()))
     road = "road" if scope.own_road is not None else "bump"
     for run in runs:
         ended = reached(scope.vehicle, run.physics)
@@ -113,8 +114,8 @@ def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wro
     columns: tuple[Field[Run], ...] = (
         NAME.of(lambda run: run.controller),
         NORM.of(lambda run: certificates.get(run.controller.name), "H-infinity norm"),
-        Field(f"{label}, rms [{unit}], predicted", linear, ".3g"),
-        Field("in MuJoCo", lambda run: None if scope.unstable(run.controller) else float(run.physics.rms(name)), ".3g"),
+        Field(f"{label}, rms [{unit}], predicted", linear, SIZE.form),
+        Field("in MuJoCo", lambda run: None if scope.unstable(run.controller) else float(run.physics.rms(name)), SIZE.form),
         Field(f"analysis true up to{scope.noise_qualifier}", lambda run: heights.get(run.controller.name, "-")),
         Field(f"over {scope.where}", lambda run: verdict(run).text),
     )
@@ -133,4 +134,4 @@ def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: s
 
 def _height(end: RegimeEnd) -> str:
     """Returns the height at which a linear regime ends in MuJoCo, with a remark if it is not the predicted one."""
-    return FOUND.text(end.found) if end.confirmed else f"NOT as predicted, {FOUND.text(end.predicted)}"
+    return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

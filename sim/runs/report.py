@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from models.common.formats import entry
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
 from models.vehicle.vehicle import Vehicle
-from sim.physics.energy import Energy
+from sim.physics.energy import JOULES, Energy
 from sim.response.regime import (
     BUMP_STOP,
     COMMAND_LIMITED,
@@ -62,8 +63,8 @@ FEW = 3  # controllers with statements of their own; from more on, the answer wo
 NUMBERS = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 
 ENERGY: tuple[Field[Energy], ...] = (
-    *(Field(name, attrgetter(name), "{:.5g}".format, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("turned over", attrgetter("turnover"), "{:.5g}".format, unit="J"),
+    *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
+    TURNOVER := Field("turned over", attrgetter("turnover"), JOULES.form, unit="J"),
     RESIDUAL := Field("left over", attrgetter("residual"), "{:.1e}".format),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
@@ -72,9 +73,10 @@ COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
+SIZE = Field[float]("size", float, ".5g")  # of a signal
 SOURCES = {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}
 SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
-    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), ".5g")
+    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form)
     for what in ("peak", "rms")
     for name, source in SOURCES.items()
 )
@@ -292,11 +294,11 @@ def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
-        yield f"unstable: the sampled loop grows by a factor of {radius:.6g} every step"
+        yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step"
     elif radius == 1:
         yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
     if run.physics.ran_away:
-        yield f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=run.diverged)}"
+        yield f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=WHEN.text(run.diverged))}"
     elif math.isfinite(run.diverged):
         yield f"diverged: MuJoCo was stopped at {WHEN.text(run.diverged)}"
     if agreement.lift_off:
@@ -314,7 +316,7 @@ def _events(run: RunResult) -> Iterator[str]:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
         said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
-    yield from (line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name]))
+    yield from (line.format(when=WHEN.text(times[end.name])) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     yield from (
         f"{name} differs from its linearisation by up to {percent(one)} of its largest force" for name, one in left.items()

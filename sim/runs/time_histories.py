@@ -11,6 +11,7 @@ from models.common.printed import as_name
 from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.response.response import Response
+from sim.runs.report import SIZE
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
 
@@ -244,7 +245,8 @@ def _least(runs: Sequence[RunResult]) -> str:
     peaks = {run.controller.name: float(run.physics.peak(name)) for run in whole}
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
     words, unit = name.replace("_", " "), runs[0].vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return f"{as_name(least)} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {as_name(most)} has {peaks[most]:.3g}."
+    lowest, highest = (SIZE.digits(peaks[one]) for one in (least, most))
+    return f"{as_name(least)} has the lowest peak of {words}, {lowest} {unit}; {as_name(most)} has {highest}."
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, quoted
+from models.common.formats import digits, rough
 from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
-from synth.analysis.specification import digits, rough
+from synth.analysis.specification import FREQUENCY
 from synth.analysis.stability import Stability, stability
 from synth.plant.discrete import continuous_loop, mapped_frequency, true_frequency
 from synth.plant.generalized import GeneralizedPlant
@@ -53,7 +54,7 @@ class BandNorm:
         band = f"{rough(self.low / (2 * np.pi))} to {rough(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
             return f"infinite from {band}: a pole at {rough(self.peak_frequency)} rad/s, to rounding, does not decay"
-        text = f"at most {digits(self.value)} from {band}, reached at {self.peak_frequency:.5g} rad/s"
+        text = f"at most {digits(self.value)} from {band}, reached at {FREQUENCY.text(self.peak_frequency)}"
         return text if self.stability.stable else f"{text}, but no sinusoid settles in this loop: {self.stability.words}"
 
 

@@ -34,13 +34,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
+from models.common.formats import about, difference, digits, magnitude
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
-from synth.analysis.specification import digits, magnitude
 from synth.analysis.stability import Stability, balance, beside_weights, stability
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_states
 from synth.plant.numerics import numerics
@@ -156,9 +156,9 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
     if definiteness.smallest <= 0:
-        return f"{false}: balanced, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
+        return f"{false}: balanced, its {which} eigenvalue is {difference(sign * definiteness.smallest)}"
     needed = f"{'above' if sign > 0 else 'below'} {magnitude(sign * definiteness.rounding)}"
-    smallest = f"{sign * definiteness.smallest:.1e}"
+    smallest = difference(sign * definiteness.smallest)
     return f"{open_}: balanced, its {which} eigenvalue is {smallest}, and must be {needed} to be beyond rounding"
 
 
@@ -261,7 +261,7 @@ class Certificate(Shown):
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
             remarks.append(
-                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {magnitude(rate / self.speed)} of the "
+                f"stable in numbers alone: a pole decays by {about(rate)} 1/s, which is {magnitude(rate / self.speed)} of the "
                 "plant's speed; weight the signal that it moves, or measure it"
             )
         if self.beyond_actuators:
@@ -271,7 +271,7 @@ class Certificate(Shown):
                 else "the rate at which motion and force have equal weight in z, as all poles of the plant lie at 0"
             )
             remarks.append(
-                f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much"
+                f"beyond any actuator: a pole is {about(self.speed_up)} times as fast as {than}; {FASTEST:g} times is much"
             )
         return tuple(remarks)
 

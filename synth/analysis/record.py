@@ -11,10 +11,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.common.formats import exactly
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
-from synth.analysis.specification import SAMPLED_NORM, exactly
+from synth.analysis.specification import SAMPLED_NORM
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from models.common.formats import digits
 from models.common.printed import finite
+from models.document.field import Field
 
 SAMPLED_NORM = "sampled_norm"  # of the sampled loop, in records; checked if the implementation is known
 ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # of weighted errors
@@ -71,13 +73,7 @@ class Specification:
         }
 
 
-NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
-digits = f"{{:{NORM_DIGITS}}}".format
-rough = "{:.4g}".format  # of a pole or a frequency, and of a norm that only compares
-magnitude = "{:.0e}".format  # of rounding errors
-exactly = "{:.10g}".format  # of claims that do not hold, which may differ from the truth by little
-
-
+FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # of a peak or a crossover
 ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the enclosing levels from the norm
 
 

@@ -14,13 +14,14 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import exactly
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
 from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_intervals
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.specification import SampledNorm, exactly
+from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import heights_read, readings_of_road, sampled
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.formats import margin, rough
 from models.common.printed import as_name, by_text
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.specification import rough
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
@@ -66,13 +66,13 @@ class LawMargins:
     @property
     def pair(self) -> str:
         """Gain and disk margin as a pair, "-" for a gain margin that is not small."""
-        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{self.disk:#.2g}"
+        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{margin(self.disk)}"
 
     @property
     def small(self) -> str:
         """The margins that are small, in words; empty without any."""
         texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
-        texts += [f"disk margin {self.disk:#.2g}"] if self.disk is not None and self.disk < LEAST_DISK else []
+        texts += [f"disk margin {margin(self.disk)}"] if self.disk is not None and self.disk < LEAST_DISK else []
         return ", ".join(texts)
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError, listing
+from models.common.formats import NORM_DIGITS, rough
 from models.common.printed import as_name, finite, percent
 from models.document.field import Field
 from models.kinds.signals import load_signal
@@ -16,7 +17,7 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import ABOVE, NORM_DIGITS, SAMPLED_NORM, SampledNorm, rough
+from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins

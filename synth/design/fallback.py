@@ -19,11 +19,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import brief, digits, rough
 from models.common.printed import percent
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import digits, rough
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.two_step import (
     LARGEST_GAIN,
@@ -184,7 +184,7 @@ def near_lower_bound(
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
         at = f"{digits(lower.certificate.norm.value)} with poles beyond any actuator"
         return design, f"{came} comes to {at}, so that the gain of the two steps is kept{stopped}"
-    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large{stopped}"
+    return lower, f"{came} lowers it, for a gain {brief(growth)} times as large{stopped}"
 
 
 def _refined(

@@ -15,6 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
+from models.common.formats import digits
 from models.common.printed import percent
 from models.document.document import Document
 from models.document.figure import Figure
@@ -27,7 +28,6 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
-from synth.analysis.specification import digits
 from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN

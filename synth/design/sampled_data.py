@@ -27,9 +27,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import digits
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.specification import digits
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine

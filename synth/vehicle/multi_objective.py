@@ -8,6 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in
+from models.common.formats import digits
 from models.common.printed import percent
 from models.laws.goals import REGRET, EnergyBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import LinearLaw, static_law
@@ -16,7 +17,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import Specification, digits
+from synth.analysis.specification import Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.multi_objective.design import improved_goal

@@ -3,10 +3,10 @@
 import numpy as np
 
 from models.common.errors import InputError
+from models.common.formats import digits
 from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.specification import digits
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
 from synth.design.full_order.preview import preview_design

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.formats import digits
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.analysis.specification import digits
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem
 from synth.controller.problem import Problem, plant_states

@@ -14,7 +14,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.analysis.energy_to_peak import energy_peaks
-from synth.analysis.specification import Specification
+from synth.analysis.specification import FREQUENCY, Specification
 from synth.analysis.stability import stability
 from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
@@ -33,7 +33,6 @@ from synth.plant.numerics import DesignError
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
 NEAR = 1.01  # times what is met: a bound that is so close needs no other
-FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.formats import digits
 from models.kinds.linear_model import LinearModel
 from models.laws.combinations import FULL
 from models.laws.filter import Filter
@@ -21,7 +22,7 @@ from models.vehicle.vehicle import Vehicle
 from models.vehicle.weighted_errors import WeightedErrors
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification, digits
+from synth.analysis.specification import FREQUENCY, ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import generalized_plant, plant_states
 from synth.design.full_order.by_name import named_design
@@ -53,7 +54,7 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
     above = structured_bound(loop)
     below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
     value = below.mu if below is not None else np.inf
-    where = f"at {above.peak_frequency:.5g} rad/s"
+    where = f"at {FREQUENCY.text(above.peak_frequency)}"
     if at_most is not None and 0 < above.gamma < np.inf:
         where += f"; stable with up to {digits(1 / above.gamma)} times the errors"
     return Specification(what, value, above.gamma, at_most, where=where)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from models.common.formats import difference
 from models.common.printed import as_name, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, at_most
@@ -13,6 +14,7 @@ from models.document.text import joined, names_text
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
+from sim.runs.steps import WHEN
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
 from sim.studies.frequency.figure import HERTZ, STEP
@@ -24,19 +26,18 @@ from synth.controller.report import NORM, judged_lines
 
 def error_digits(error: float) -> str:
     """Returns the digits of a relative error."""
-    return f"{error:.1e}" if error else "0"
+    return difference(error) if error else "0"
 
 
 HZ = 1 / (2 * math.pi)  # from rad/s
 HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
-TIME = Field[float]("time", lambda one: one, ".4g", unit="s")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
 PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")
 RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
     Field("to continuous", lambda one: one.error(one.continuous).max(), error_digits),
-    Field("order of convergence", lambda one: one.order, ".2f"),
+    Field("order of convergence", lambda one: one.order, ".2f", column="order of the two"),
 )
 SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
@@ -46,9 +47,15 @@ SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
 )
 GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
-    Field("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
-    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
-    Field("share of norm", lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format, 100.0),
+    Field("held-road norm", lambda one: one.extremes.worst.gain, GAIN.form),
+    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], GAIN.form),
+    Field(
+        "share of norm",
+        lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain,
+        "{:.3f} %".format,
+        100.0,
+        column="of that norm",
+    ),
     *(Field[Sweep](road, lambda one, road=road: one.gains.get(road), "{:.4g}".format) for road in ("bump", "chirp", "random")),
 )
 NORMS: tuple[Field[Sweep], ...] = (
@@ -221,7 +228,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     yield Statement(text)
     for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, as the states of the law overflowed")):
         if which.any() and not wild.all():
-            first = TIME.text(float(np.min(one.diverged[which])))
+            first = WHEN.text(float(np.min(one.diverged[which])))
             yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. They are not measured.")
     if one.ended:
         yield Statement(f"{name} left the linear regime: {joined([*one.ended])}.")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from models.common.formats import digits
 from models.common.printed import finite, finite_pairs
 from models.document.field import Field
 from models.vehicle.mjcf import has_geometry
@@ -29,7 +30,7 @@ ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain i
 REACHED = 1e-3  # below the norm
 DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is found
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
-GAIN = Field[float]("L2 gain", lambda one: one, "{:.7g}".format)
+GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.runs.report import FEW
 from sim.runs.run import Run
+from sim.runs.steps import WHEN
 from sim.studies.ride.expected import (
     APPROXIMATE,
     EXACT,
@@ -94,7 +95,6 @@ EXPECTED = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", 
 ANGLE = Field[float | None]("angle", lambda one: one if one is None or abs(one) > NO_ANGLE else 0.0, ".3g")
 RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, digits, unit="m/s²")
 SPREAD = Field[MetricComparison]("+- by road", lambda one: one.spread, ".4g", key="spread")
-TIME = Field[float]("time", float, ".4g", unit="s")
 ERROR = Field[float]("relative error", float, ".1g")
 METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
@@ -166,8 +166,8 @@ def measured_samples(
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
     """Returns the measured stretch of a run in words, from sample times [s] and `measured_samples`."""
     first, end = samples
-    begins = f"from {TIME.digits(time[first])}"
-    return f"{begins} s on" if end is None else f"{begins} to {TIME.text(time[end - 1])}, the passage"
+    begins = f"from {WHEN.digits(time[first])}"
+    return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, the passage"
 
 
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
@@ -224,7 +224,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         roughness: every IRI of the road that the run passes.
     """
     vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
-    title = f"Metrics, measured from {TIME.digits(start)} to {TIME.text(end)}"
+    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}"
     random = any(one.expected is not None for one in metrics.metrics.values())
     if run.broke_off is not None and not random:
         return Document(title, notes(*about))
@@ -280,7 +280,7 @@ def broken(run: Run) -> list[str]:
     if run.broke_off is None:
         return []
     end, at = run.broke_off
-    return [f"This run has no metrics: {end} at {TIME.text(at)}."]
+    return [f"This run has no metrics: {end} at {WHEN.text(at)}."]
 
 
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:

@@ -19,6 +19,7 @@ from sim.studies.stability.simulated_loop import Trial
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
+from synth.controller.report import NORM
 from synth.design.uncertainty.fragility import worst_error_found
 
 POINTS, MEASURED = 40, 7  # of a predicted curve, and by MuJoCo's step
@@ -27,9 +28,9 @@ RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
 MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
-FACTOR = Field[float]("factor", float, ".4g")
-TIME = Field[float]("time", float, ".4g", 1e3, unit="ms")
-ERROR = Field[float]("error", float, ".4g", 100.0, unit="%")
+SIZE = Field[float]("margin", float, ".5g")
+TIME = Field[float]("time", float, SIZE.form, 1e3, unit="ms")
+ERROR = Field[float]("error", float, SIZE.form, 100.0, unit="%")
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, BLUE, "o", "MuJoCo decays"),
     (True, VERMILLION, "x", "MuJoCo grows"),
@@ -55,13 +56,13 @@ def margins_figure(found: StabilityMargins) -> Figure:
     title = "gain: any; the limit here is that of the sampling" if ended else "gain of all loops together"
     found_delay, found_period, predicted = loop.found_delay, loop.found_sample_period, loop.predicted
     searches: list[tuple[str, str, StabilityEdge, Field[float], float, float]] = [
-        (title, "factor on the gain", gain.search, FACTOR, gain.sampled[0], gain.search.found),
+        (title, "factor on the gain", gain.search, SIZE, gain.sampled[0], gain.search.found),
         ("delay from measurement to force", "delay [ms]", loop.delay, TIME, predicted.delay, found_delay),
         ("sample period of the controller", "sample period [ms]", period, TIME, predicted.sample_period, found_period),
     ]
     if built is not None:
         of = built.gain
-        searches.insert(0, ("gain of the implemented loop", "factor on the gain", of.search, FACTOR, of.own, of.found))
+        searches.insert(0, ("gain of the implemented loop", "factor on the gain", of.search, SIZE, of.own, of.found))
     panels = [
         _search_panel(f"{title}\n{_both(field, at, seen)}", label, search, rate, field.scale)
         for title, label, search, field, at, seen in searches
@@ -76,7 +77,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
     limits = [f"{TIME.text(found_delay)} of delay" if math.isfinite(found_delay) else "any delay that is tried"]
     limits.append(f"a sample period of {TIME.text(found_period)}" if math.isfinite(found_period) else "any sample period")
     if math.isfinite(lead):
-        limits.append(f"a phase {'lead' if lead < lag else 'lag'} of {FACTOR.text(min(lag, lead))} rad")
+        limits.append(f"a phase {'lead' if lead < lag else 'lag'} of {SIZE.text(min(lag, lead))} rad")
     finding = f"The loop of {as_name(controller.name)} tolerates {', '.join(limits[:-1])} or {limits[-1]}."
     return Figure("margins", title, tuple(panels), finding=finding)
 
@@ -146,7 +147,7 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
     verdict = "MuJoCo agrees at every corner" if box.holds else "MuJoCo DOES NOT AGREE at every corner"
     nominal = controller.certificate.norm.value
-    title = f"other vehicles: worst norm {FACTOR.text(box.norm)}, nominal {FACTOR.text(nominal)}\n{verdict}"
+    title = f"other vehicles: worst norm {NORM.digits(box.norm)}, nominal {NORM.digits(nominal)}\n{verdict}"
     if len(percent) == 1:
         curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
         heights = np.array([corner.norm for corner in box.corners])

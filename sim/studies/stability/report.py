@@ -14,10 +14,12 @@ from models.suspension.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
-from sim.studies.stability.figure import ERROR, margins_figure
+from sim.studies.stability.figure import ERROR, SIZE, margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
+from synth.analysis.specification import FREQUENCY
+from synth.controller.report import NORM
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
 IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
@@ -26,7 +28,7 @@ UNDECIDED = "undecided: the slowest mode hardly changes"
 
 def number(value: float) -> str:
     """Returns a margin: `any` if it is infinite, and `-` if no run shows it."""
-    return "any" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.5g}"
+    return "any" if math.isinf(value) else SIZE.digits(value)
 
 
 class Row(NamedTuple):
@@ -57,23 +59,25 @@ COMPARED: tuple[Field[tuple[str, Row]], ...] = (
     PREDICTED.of(lambda of: of[1]),
     Field("MuJoCo", lambda of: FOUND.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
 )
-FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")
 FACTOR = Field[float]("factor", float, ".3g")
 PHASE = Field[float]("phase", float, ".3g", unit="rad")
-NORM = Field[float]("norm", float, ".5g")
 VALUE = Field[float]("value", float, ".4g")
 CORNER: tuple[Field[ParameterVertex], ...] = (
-    NORM.of(lambda corner: corner.norm),
+    Field("norm", lambda corner: corner.norm, NORM.form),
     Field("motion in MuJoCo", lambda corner: "decays" if corner.decays else "GROWS"),
     Field("linear response", lambda corner: "agrees" if corner.agrees else "DOES NOT AGREE"),
 )
 BOX: tuple[Field[StabilityMargins], ...] = (
     Field("controller", lambda of: of.controller.name),
     Field("norm", lambda of: of.controller.certificate.norm.value, NORM.form),
-    Field("largest norm", lambda of: of.box and of.box.norm, NORM.form),
+    Field("largest norm", lambda of: of.box and of.box.norm, NORM.form, column="worst norm"),
     Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
     Field("at", lambda of: of.box and _values(of.box.at)),
-    Field("MuJoCo at the corners", lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE")),
+    Field(
+        "MuJoCo at the corners",
+        lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE"),
+        column="corners: MuJoCo and analysis say the",
+    ),
     Field("margins", lambda of: "DOES NOT AGREE" if of.wrong else "agrees"),
 )
 

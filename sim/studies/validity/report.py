@@ -36,7 +36,11 @@ SHARE = Field[float]("share of cells", float, "{:.1f} %".format, 100.0)
 HOLDS = Field[Cells]("linear analysis holds", lambda of: of.share(lambda one: one.error <= of.threshold), SHARE.form, 100.0)
 FIRST = tuple(
     Field[Cells](
-        f"{end} first" if end else "no limit reached", lambda of, i=i: float(np.mean(of.predicted == i)), SHARE.form, 100.0
+        f"{end} first" if end else "no limit reached",
+        lambda of, i=i: float(np.mean(of.predicted == i)),
+        SHARE.form,
+        100.0,
+        column="" if end else "nothing breaks",
     )
     for i, end in enumerate(("", *END_NAMES), -1)
 )
@@ -47,15 +51,14 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
-FOUND = Field[float]("height", float, ".3g", unit="m")
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
     Field("predicted end", lambda of: of[1].predicted_end if of[1] else "at no height"),
-    Field("at", lambda of: of[1] and of[1].predicted, "{:.5g}".format, unit="m"),
-    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, "{:.5g}".format, unit="m"),
+    Field("at", lambda of: of[1] and of[1].predicted, HEIGHT.form, unit="m"),
+    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, HEIGHT.form, unit="m"),
     Field("off by, of a peak", lambda of: of[1] and of[1].error, "{:.1e}".format),
-    Field("and not at", lambda of: of[1] and of[1].leaves, ".5g", unit="m"),
+    Field("and not at", lambda of: of[1] and of[1].leaves, HEIGHT.form, unit="m"),
     Field("ended by", lambda of: of[1] and (of[1].end or "nothing")),
 )
 
@@ -190,7 +193,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     claimed = [(as_name(one.name), end) for one, end in ends if one.name not in wrong]
     confirmed = [end for _, end in claimed if end and end.confirmed]
     heights = [
-        f"{name} {FOUND.text(end.found)} ({end.end})" if end else f"{name} any height"
+        f"{name} {HEIGHT.text(end.found)} ({end.end})" if end else f"{name} any height"
         for name, end in claimed
         if not end or end in confirmed
     ]

@@ -12,9 +12,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import brief, digits
 from models.common.printed import percent
 from synth.analysis.norm import hinf_norm
-from synth.analysis.specification import digits
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
 from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, real_matrix
@@ -51,10 +51,10 @@ class Refinement:
     def traded(self) -> str:
         """The trade-off in words."""
         text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
-        text += f"largest gain times {self.growth:.3g}"
+        text += f"largest gain times {brief(self.growth)}"
         if self.refused is not None:
             bought, growth = self.refused
-            text += f"; refused: {percent(bought)} more of {self.what} for {growth:.3g} times the gain"
+            text += f"; refused: {percent(bought)} more of {self.what} for {brief(growth)} times the gain"
         return text
 
 

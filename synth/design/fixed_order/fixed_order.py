@@ -20,6 +20,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.formats import entry
 from models.laws.combinations import PID
 from models.laws.law_structure import GAINS, ITS_GAINS, LawStructure
 from models.laws.linear import FEWER, LinearLaw
@@ -162,7 +163,7 @@ def gains_text(structure: LawStructure, law: LinearLaw) -> str:
     gain, texts = gains_on_filters(structure, law), []
     filter = f", filter = {structure.filter:g}" if structure.kind == PID else ""
     for each in gain:
-        named = ", ".join(f"{name} = {value:.6g}" for name, value in zip(GAINS, each, strict=False))
+        named = ", ".join(f"{name} = {entry(value)}" for name, value in zip(GAINS, each, strict=False))
         texts.append(f"pid = {{ {named}{filter} }}")
     return ", ".join(texts)
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.formats import digits
 from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import digits
 from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import AT_ONCE, quadratic_design

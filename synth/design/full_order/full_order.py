@@ -17,12 +17,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Positive
 from models.common.errors import InputError
+from models.common.formats import about, brief, digits, rough
 from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import digits, rough
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
@@ -321,8 +321,8 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
     if best.norm <= least:
         return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
-    other = f"the nearest that was found, norm {rough(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s"
-    return f"{above}: {other}, and this one's fastest is {best.pole:.3g} rad/s"
+    other = f"the nearest that was found, norm {digits(nearer.norm)}, has a pole of {brief(nearer.pole)} rad/s"
+    return f"{above}: {other}, and this one's fastest is {brief(best.pole)} rad/s"
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
@@ -330,10 +330,12 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]
-    more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rough(slower[-1].norm)}" if slower else ""
+    more = ""
+    if slower:
+        more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {digits(slower[-1].norm)}"
     return (
-        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
-        f"{1 / best.pole:.1g} s or more cannot run it{more}"
+        f"its fastest pole is {brief(best.pole)} rad/s, {about(best.speed_up)} times the plant's: a computer with a sample "
+        f"period of {1 / best.pole:.1g} s or more cannot run it{more}"
     )
 
 

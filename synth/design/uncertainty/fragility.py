@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.formats import digits
 from models.common.printed import finite, percent
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
-from synth.analysis.specification import digits
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search

@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -106,7 +105,7 @@ def _lost(period: float) -> str | None:
     return None if math.isinf(period) else LOST.digits(1 / (period or SHORTEST))
 
 
-LOST = replace(HERTZ, form=".3g")
+LOST = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:

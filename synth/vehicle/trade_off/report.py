@@ -2,7 +2,6 @@
 
 import csv
 import math
-from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -11,20 +10,19 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
+from models.common.formats import NORM_DIGITS, entry
 from models.common.printed import as_name, by_text, finite
 from models.document.document import Document, Table, notes
 from models.document.field import Field, json_object
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.vehicle.names import without_copies
-from synth.analysis.specification import NORM_DIGITS
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Field[Point]("bump travel", lambda point: point.travel, ".4g", 1e3, "bump_travel", "mm")
 VALUE = Field[float]("norm", lambda norm: norm, NORM_DIGITS)
-ROUGH = replace(VALUE, form=".4g")  # in a picture
-MUJOCO = Field[float]("MuJoCo", lambda gain: gain, ".5g")
+SHARE = Field[float]("share", float, ".5g")
 NUMBERS: tuple[Field[Point], ...] = (
     NORM.of(lambda point: point.controller.certificate),
     BOUND.of(lambda point: point.controller.certificate),
@@ -52,7 +50,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     for k, axis in enumerate(front.axes):
         fields.append(Field(axis.name, lambda row, k=k: row[1].values[k], VALUE.form))
         if measured is not None:
-            fields.append(Field(f"{axis.name}, MuJoCo", lambda row, k=k: None if row[2] is None else row[2][k], MUJOCO.form))
+            fields.append(Field(f"{axis.name}, MuJoCo", lambda row, k=k: None if row[2] is None else row[2][k], VALUE.form))
     if any(row[1].travel is not None for row in rows):
         fields.append(TRAVEL.of(itemgetter(1)))
     fields.append(Field("gain", lambda row: row[3]))
@@ -152,19 +150,16 @@ def _limit_texts(front: Front) -> list[str]:
         first, second = (front.axes[k].name for k in limit.axes)
         shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
-        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}, at {MUJOCO.digits(float(shares[i]))} times"
+        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}, at {SHARE.digits(float(shares[i]))} times"
         no = f"nothing is proved about {first} and {second} together"
         texts.append(f"Limit: {f'{near} the bound' if math.isfinite(shares[i]) else no}.")
     return texts
 
 
-ENTRY = Field[float]("entry", lambda entry: entry, ".6g")
-
-
 def _gain(point: Point) -> str:
     """All entries where they fit on a line."""
     entries = point.controller.gain.ravel()
-    return " ".join(ENTRY.digits(float(entry)) for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
+    return " ".join(map(entry, entries)) if len(entries) <= 4 else f"{len(entries)} entries"
 
 
 WIDER = 0.06  # of what is shown, around it
@@ -217,7 +212,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
         label = "MuJoCo on one sinusoid, which reaches the norm from below"
         curves.append(Curve(measured[:, i], measured[:, j], label, MEASURED, "none", "x", name="MuJoCo"))
     away = [
-        f"{name} ({ROUGH.digits(x)}, {ROUGH.digits(y)})"
+        f"{name} ({VALUE.digits(x)}, {VALUE.digits(y)})"
         for (name, (x, y)), far in zip(others.items(), beyond, strict=True)
         if far
     ]
