@@ -85,7 +85,9 @@ class NumberTable:
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
                 raise InputError(f"{found}; begin lines that are not headings with #, or {self.give}")
             if not optional and [other.quantity or other.name for other in headings].count(heading.quantity or heading.name) > 1:
-                raise InputError(f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns")
+                raise InputError(
+                    f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns"
+                )
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
@@ -174,7 +176,9 @@ def table_text(path: Path) -> str:
         try:
             from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
         except ImportError:
-            raise InputError("a spreadsheet needs python-calamine; run pip install 'roadproof[excel]', or save it as .csv") from None
+            raise InputError(
+                "a spreadsheet needs python-calamine; run pip install 'roadproof[excel]', or save it as .csv"
+            ) from None
         book = CalamineWorkbook.from_path(str(path))
         sheets = {
             one.name: book.get_sheet_by_name(one.name).to_python() for one in book.sheets_metadata if "Work" in str(one.typ)

@@ -252,9 +252,11 @@ class GainSearch:
         """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
-        for x in sampled:
-            size = magnitude(10 ** np.floor(np.log10(abs(x).max())))
-            candidates += self.admitted(x, f"a sample of size {size}")
+        candidates += [
+            each
+            for x in sampled
+            for each in self.admitted(x, f"a random gain of {magnitude(10 ** np.floor(np.log10(abs(x).max())))}")
+        ]
         alone = np.isinf(self.rival)
         numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)
         if len(self.plant.A) > LARGE:
@@ -263,7 +265,7 @@ class GainSearch:
             numbers = range(0 if candidates else MANY)
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
-                candidates += self.admitted(x, "a stabilising start")
+                candidates += self.admitted(x, "a stabilising gain")
             if candidates or numbers.stop >= most or not alone:
                 return candidates
             numbers = range(numbers.stop, most)

@@ -131,7 +131,7 @@ class GeneralizedPlant:
         G = check("G", G, Matrix | Feedback)
         shape = (len(G.K), G.Cy.shape[1]) if isinstance(G, Feedback) else G.shape
         if shape != self.B.T.shape:
-            raise InputError(f"G has shape {shape}; expected {self.B.T.shape}, an input of the plant a row and a state a column")
+            raise InputError(f"G has shape {shape}; expected {self.B.T.shape}: a row for each input, a column for each state")
         high, beyond = fed_back(np.vstack([self.A, self.C]), np.vstack([self.B, self.D]), G, self.beyond)
         n = len(self.A)
         return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
@@ -241,7 +241,7 @@ def check_posed(plant: GeneralizedPlant) -> None:
     if not (np.any(plant.Bw) or np.any(plant.Dw)):
         raise InputError("the plant has no disturbance: Bw and Dw are zero; give at least one nonzero entry")
     if not (np.any(plant.C) or np.any(plant.D)):
-        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+        raise InputError("the controlled output z is zero, as C and D are zero; give at least one signal a weight above zero")
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:

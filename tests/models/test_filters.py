@@ -157,7 +157,7 @@ def test_designs_with_filters(lines):
         assert not certificate.failures
         assert certificate.lower_bound is not None
         assert certificate.lower_bound <= certificate.norm.value * (1 + 1e-9)  # rounding of the norm
-        assert ("states that nothing measures" in controller.degeneracy) == (name == "state")
+        assert ("states of filters are not measured" in controller.degeneracy) == (name == "state")
         omega = np.append(OMEGA, certificate.norm.peak_frequency)
         z = vehicle.weights(omega) * (
             continuous_frequency_response(vehicle, controller, omega)[..., 0] * vehicle.road_shape(omega)[:, None]
@@ -227,10 +227,10 @@ def test_saved_and_checked(tmp_path, capsys):
     saved.write_text(saved.read_text().replace("500.0]", "400.0]"))
     assert main(["--check", str(saved), "--controller", "II_designed"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "the norm is claimed to be" in said
+    assert "claims that the norm is" in said
     assert (
-        "norms are of control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1); "
-        "poles of filters are in every loop and independent of control, and are not listed"
+        "norms include filters: control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1)"
+        "; the poles of these filters do not depend on control and are not listed"
     ) in said
 
 
@@ -270,10 +270,10 @@ def test_what_synths_readme_says_of_the_two_steps():
     vehicle = parse_vehicle(file_with(WK))
     for name, lost in {"state": 10.30526, "I": 20.97388}.items():
         found = designed(vehicle, name)
-        said = re.search(r"they come to (\d+\.\d+)", found.fallback_method)
+        said = re.search(r"the two steps end at (\d+\.\d+)", found.fallback_method)
         assert said is not None
         assert float(said[1]) == pytest.approx(lost, rel=3e-6)  # the path ends so near its limit
-        assert "feeds back the states of filters" in found.fallback_method
+        assert "needs states of filters" in found.fallback_method
         assert found.certificate.gap is not None
         assert found.certificate.gap < 1e-4
         assert found.certificate.own.worst.real < -0.1  # a filter's slowest pole is not it
@@ -299,7 +299,7 @@ def test_no_second_witness_with_filters(tmp_path):
     """Clarabel is off on (25) with filters, and does not say so: `--cross-check` says in one line that it asks it nothing."""
     file = tmp_path / "felt.toml"
     file.write_text(file_with(WK))
-    with pytest.raises(InputError, match="comes from an LMI problem without filters"):
+    with pytest.raises(InputError, match=r"needs a design by LMI \(22\) or \(25\) without filters"):
         main(["--vehicle", str(file), "--controller", "II", "--cross-check"])
 
 

@@ -162,24 +162,24 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
         percent = f"{100 * early.moved:.2g}"
         with nothing_shared():  # as it is another path than the vehicle's own
             (note,) = notes(ends_early.design("state"))
-        assert note.startswith(f"gain not settled: over the last step of its path it moved by {percent} % of its largest entry")
+        assert note.startswith(f"the gain did not converge: the last step of its path changed it by {percent} % of its")
 
 
 CHAIN = np.diag(np.ones(2), 1)
 NO_DESIGN = (  # A, B, C_y, the period, and why
-    ([[1, 0], [0, -1]], [[0], [1]], [[1, 1]], None, r"no input reaches the mode at 1 1/s.*in x1"),
-    ([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]], np.eye(3), None, r"no input reaches the mode at 0\+2j rad/s.*in x1"),
-    ([[1, 0], [0, -1]], [[1], [1]], [[0, 1]], None, r"no measurement shows the mode at 1 1/s.*in x1"),
+    ([[1, 0], [0, -1]], [[0], [1]], [[1, 1]], None, r"no input acts on the mode at 1 1/s.*in x1"),
+    ([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]], np.eye(3), None, r"no input acts on the mode at 0\+2j rad/s.*in x1"),
+    ([[1, 0], [0, -1]], [[1], [1]], [[0, 1]], None, r"none of them contains the mode at 1 1/s.*in x1"),
     (CHAIN[:2, :2], [[0], [1]], [[1, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
     (CHAIN, [[0], [0], [1]], [[1, 0, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
     ([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 0\+1j rad/s does not decay: .*C_y B = 0.*all poles stays 0 1/s"),
     ([[0, 1], [1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 1 1/s does not decay: .*C_y B = 0"),
     ([[0, 1], [1, 0]], [[0], [1]], [[0, 1]], None, r"mode at 1 1/s does not decay: .*one pole stays real and above zero"),
-    ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1.2, which does not decay"),
-    ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = -1, which does not decay"),
-    ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1, which does not decay"),
-    ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "no measurement shows the mode at z = 1.2, which does not decay"),
-    ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3, and their number is 2"),
+    ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = 1.2, which does not decay"),
+    ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = -1, which does not decay"),
+    ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = 1, which does not decay"),
+    ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "none of them contains the mode at z = 1.2, which does not decay"),
+    ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3 \(of 2 poles\)"),
 )
 
 
@@ -252,7 +252,7 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"C": np.zeros((0, 2)), "D": np.zeros((0, 1)), "Dw": np.zeros((0, 1))}, "C has no rows"),
         ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so there is no norm from w to z"),
         ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
-        ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
+        ({"C": np.zeros((2, 2))}, "the controlled output z is zero"),
         ({"dt": -0.01}, "dt = -0.01 is not a sample period.*give the seconds between samples"),
         ({"dt": float("nan")}, "dt = nan is not a sample period.*give the seconds between samples"),
         ({"dt": True}, "dt = True is not a number"),

@@ -118,10 +118,10 @@ def test_saved_and_checked(built, tmp_path, capsys, change):
     code, found = said(capsys, "--check", str(saved), "--controller", "I_designed")
     (failure,) = found["controllers"][0]["failures"]
     assert code == 1
-    assert failure.startswith("the sampled norm is claimed to be 7.87")
+    assert failure.startswith("the certificate claims that the sampled norm is 7.87")
     assert ("neither sample_period nor delay" in failure) == (change == "none")
     bump(["--vehicle", str(saved), "--controller", "I_designed", "--no-logs", "--duration", "0.1"])
-    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().err)
+    assert "the certificate claims that the sampled norm is 7.87" in prose(capsys.readouterr().err)
 
 
 def test_inspected(built, tmp_path, capsys):
@@ -141,7 +141,7 @@ def test_inspected(built, tmp_path, capsys):
     forged = tmp_path / "forged.mcap"
     forged.write_bytes(written(contents(log).with_claim("run/I", "certificate", forge)))
     assert inspect([str(forged)]) == 1
-    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().out)
+    assert "the certificate claims that the sampled norm is 7.87" in prose(capsys.readouterr().out)
 
 
 # --- loops that are stable only with samples, or without -----------------------------------------------------------------
@@ -201,7 +201,7 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
     path = tmp_path / "lost.toml"
     path.write_text(f"{paper.text}\n[implementation]\nsample_period = 0.15\ndelay = 5\n")
     assert main(["--vehicle", str(path), "--controller", "I", "--controller", "passive", "-v"]) == 0
-    assert prose(capsys.readouterr().out).endswith("every claim holds for 2 controllers; UNSTABLE as the computer runs it: I")
+    assert prose(capsys.readouterr().out).endswith("holds for 2 controllers; UNSTABLE with its sample period and delay: I")
 
 
 @pytest.mark.attack
@@ -417,7 +417,7 @@ def _not_asked_for(*given):
             0.9,
             "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.865064 differs from the gain that a disturbance",
         ),
-        (1 + 1e-7, "at once: the sampled norm 7.865064 is below the gain that a disturbance reaches, by 1e-07 of it"),
+        (1 + 1e-7, "at once: the sampled norm 7.865064 is below the gain that a disturbance reaches, by a relative 1e-07"),
     ],
 )
 def test_what_does_not_hold_is_said(share, words, monkeypatch, capsys, never_lost):
@@ -441,7 +441,7 @@ def test_what_is_not_designed_is_said(tmp_path, capsys, monkeypatch, never_lost)
 
     def refuses(self, name):  # there is none, and to search takes seconds
         if name == "blind":
-            raise DesignError("norm <= 1 is passed by 600 %")
+            raise DesignError("misses norm <= 1 by 600 %")
         return design_others(self, name)
 
     monkeypatch.setattr(Designer, "design", refuses)
