@@ -13,7 +13,7 @@ from models.common.command import Parser
 from models.common.errors import InputError
 
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
-TYPES = ("quarter_car", "half_car")
+TYPES = ("quarter_car", "half_car", "full_car")
 EPILOG = """
 The file contains the parameters of an ordinary car, limits, sensors with noise, a sample period and a delay, and controllers
 designed for them. A comment on each line explains the value. The command never replaces an existing file.
@@ -22,7 +22,7 @@ exit code: 0 the file is written; 2 invalid input
 
 examples:
   python -m sim.new my_car.toml
-  python -m sim.new my_half_car.toml --type half_car
+  python -m sim.new my_full_car.toml --type full_car
 """
 
 
