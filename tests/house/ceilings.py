@@ -45,8 +45,9 @@ semi-active dampers and laws                                   1226    844    14
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
 curves of dampers and springs, statistical linearisation       2579   2010     59
-    models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,surface*}.py sim/studies/ride/statistical_linearisation.py
-    sim/linear/{nonlinear_elements,piecewise_linear_steps}.py sim/physics/surface_steps.py sim/runs/force_diagram.py
+    models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
+    sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
+    sim/physics/surface_steps.py sim/runs/force_diagram.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      551    237      0
