@@ -8,6 +8,7 @@ READ_T_O_START_TABLE_READ).
 """
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -144,20 +145,23 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     """
     table = find_table(text, GIVE)
     headings = table.headings([QUANTITIES[name].si for name in ROLES])
-    roles = [_role(heading) for heading in headings]
-    wanted = "deflection" if over == "compression" else over or ("velocity" if "velocity" in roles else "deflection")
-    known = [heading for heading, role in zip(headings, roles, strict=True) if role == wanted]
-    forces = [heading for heading, role in zip(headings, roles, strict=True) if role == "force"]
-    if not known and {*roles} & ({*ARGUMENTS} - {wanted}):
+    by_role: dict[str, list[Heading]] = defaultdict(list)
+    for heading in headings:
+        by_role[_role(heading)].append(heading)
+    wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
+    known, forces = by_role[wanted], by_role["force"]
+    if not known and any(by_role[one] for one in ARGUMENTS):
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
     told = {"deflection", "compression"} if over == "compression" else SIGNED[wanted]
-    if not sheet and not any(one.direction or told & one.words for one in (*known, *forces)):
-        asked = next((one for one, role in zip(headings, roles, strict=True) if role != "force"), headings[0])
-        raise InputError(
-            f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
-            f"above it ({wanted} is positive in extension)"
-        )
+    undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
+    asked = next((one for one in headings if one not in forces), headings[0])
+    question = InputError(
+        f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
+        f"above it ({wanted} is positive in extension)"
+    )
+    if undirected and not (over == "compression" and known):
+        raise question
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
         columns = listing(one.name for one in headings)
@@ -167,8 +171,10 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     x, *values = (numbers * [used[0].scale(wanted), *(one.scale("force") for one in used[1:])]).T
     if sheet:
         return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True))
-    # A stop's own compression may have any other word before it: rebound stop compression.
-    named = -1 if over == "compression" and "compression" in used[0].words else used[0].direction
+    if undirected and numbers.min() < 0:
+        raise question
+    # A stop's own compression may have any other word before it: rebound stop compression. Without a direction it is meant, too.
+    named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force, note = towards * x, (named or used[1].direction or 1) * values[0], {}
     if (np.diff(x) <= 0).any() and (np.diff(x) >= 0).any():
