@@ -122,11 +122,8 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     file, over = folder / name, _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
-        text = table_text(file)
-        if name.lower().endswith(".dpr"):
-            table = _of_dpr(text)
-        else:
-            table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
+        text = _dpr_columns(table_text(file)) if name.lower().endswith(".dpr") else table_text(file)
+        table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
             raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
@@ -233,8 +230,8 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
 
 
-def _of_dpr(text: str) -> dict[str, list[float]]:
-    """Returns the table of a damper property file, in SI units."""
+def _dpr_columns(text: str) -> str:
+    """Returns the table of a damper property file with headings, line for line."""
     text = re.sub(r"[$!].*", "", text)
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}  # lines before a block
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
@@ -244,27 +241,15 @@ def _of_dpr(text: str) -> dict[str, list[float]]:
     units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
     if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units are in a table, too
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
-    length, force, time = (
-        _size(units, key, name) for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time"))
-    )
+    for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time")):
+        if unit_size(units.get(key, ""), QUANTITIES[name].si) is None:
+            found = f"has {key} = {quoted(units[key])}" if key in units else f"has no {key}"
+            raise InputError(f"[UNITS] {found}; give one of {listing(QUANTITIES[name].units)}")
     heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
     names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
-    rows = "\n" * before["CURVE"] + HEAD.sub("", blocks["CURVE"])
-    numbers, _ = find_table(rows, "give two numbers, velocity and force").numbers((0, 1))
-    v, forces = (numbers * [length / time, force]).T.tolist()
-    return {"velocity": v, "force": forces}
-
-
-def _size(units: Mapping[str, str], key: str, name: str) -> float:
-    """Returns the size of a unit of `[UNITS]` in SI, of the dimension of a quantity."""
-    allowed = listing(QUANTITIES[name].units)
-    if key not in units:
-        raise InputError(f"[UNITS] has no {key}; give one of {allowed}")
-    size = unit_size(units[key], QUANTITIES[name].si)
-    if size is None:
-        raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {allowed}")
-    return size
+    headings = f"velocity [{units['LENGTH']}/{units['TIME']}]\tforce [{units['FORCE']}]"
+    return "\n" * (before["CURVE"] - 1) + headings + "\n" + HEAD.sub("", blocks["CURVE"])
