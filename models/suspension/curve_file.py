@@ -221,9 +221,8 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
     pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # either sign is usual
-    for i in np.flatnonzero((np.minimum(pushing, pulling) < 0) | ((v == 0) & (np.abs(pushing - pulling) > GAS * pulling.max())))[
-        :1
-    ]:
+    gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
+    for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
         raise InputError(f"has {a:g} and {b:g} N at {v[i]:g} m/s, as of a gas; subtract its force, part of the spring's preload")
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))

@@ -243,7 +243,7 @@ def suspension_doubts(
         critical = 2 * math.sqrt(k * load / GRAVITY) / ratio**2 if k and load else None
         pair = dampers[part.force].pair if part.force in dampers else None
         pairs = {"[actuators]": (pair.soft, pair.hard)} if pair is not None else {}
-        pairs |= {part.damping: (curves[part.damping],) * 2} if part.damping in curves else {}
+        pairs |= {part.damping: (one, one)} if (one := curves.get(part.damping)) is not None else {}
         for name, both in pairs.items():
             doubts |= dict.fromkeys(f"{name}: {said}" for said in damper_doubts(*both, critical))
         if (spring := curves.get(part.stiffness)) is not None:
