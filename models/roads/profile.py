@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 GAP = 10.0  # largest spacing over the median one; in a wider gap a spline would be invented, and points may be missing
 SHORT = 5.0  # m, of a gap that is no doubt drawn by its ends
 SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have a thousandth, the roughest class of ISO 8608 a half
+CHORD = 0.25  # m, of slopes as in ASTM E1926
 FEWEST = 4  # points of a spline
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
@@ -79,12 +80,15 @@ class Profile(MeasuredRoad):
         """Returns a remark on the widest gap between points over a driven length [m], or on heights of no road; empty without."""
         x, z = self._driven(length)
         steps = np.diff(x)
-        i, usual, rough = int(steps.argmax()), float(np.median(steps)), float((np.diff(z, axis=0) / steps[:, None]).std())
+        i, usual = int(steps.argmax()), float(np.median(steps))
         if steps[i] > max(GAP * usual, SHORT):
             return (
                 f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
                 "there: check that no points are missing"
             )
+        chord = max(CHORD, usual)
+        at = np.arange(x[0], x[-1] + chord / 2, chord)  # so that texture does not count
+        rough = max(float(np.diff(np.interp(at, x, track)).std()) / chord for track in z.T) if len(at) > 1 else 0.0
         smooth = ROUNDING * max(1.0, float(np.abs(z).max())) / usual < rough < SMOOTHEST
         said = "no road is so smooth: check the units of heights and distances"
         return f"the slope varies by {round(rough, 8):g} rms; {said}" if smooth else ""
