@@ -29,7 +29,7 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
        for word in ("metre", "metres", "meter", "meters")},
     **{word: unit for unit, words in {
         "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
-        "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force",
+        "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force", "kgf": "kg_force kp",
         "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "in/s": "ips", "lb": "lbs", "N s": "ns", "kN s": "kns",
         "deg": "° degree degrees",
     }.items() for word in words.split()},

@@ -21,6 +21,7 @@ from models.kinds.signals import (
     UNSPRUNG_VELOCITY,
     Signal,
 )
+from models.suspension import SuspensionParts
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
@@ -188,44 +189,14 @@ class DampedTyre:
 
 
 @dataclass(frozen=True)
-class Suspension(Checked):
-    """Suspension of the body on a wheel.
-
-    Attributes:
-        deflection: signal of its extension.
-        tendon: name of the MJCF tendon; the bump stop is parallel to it.
-        force: input that pushes along it; empty for a passive one.
-        stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
-        ratio: parameter of its motion ratio, travel of all its elements per wheel travel; empty for elements at the wheel. The
-            equations of the kind are for elements at the wheel: `VehicleKind.at_wheels` converts.
-    """
-
-    deflection: Name
-    tendon: Name
-    force: str = ""
-    stiffness: str = ""
-    damping: str = ""
-    ratio: str = ""
-
-    def motion_ratio(self, parameters: Parameters) -> float:
-        """Returns its motion ratio."""
-        return parameters.get(self.ratio, 1.0)
-
-    @property
-    def ending(self) -> str:
-        """Suffix of the names at its corner."""
-        return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
-
-    @property
-    def corner(self) -> str:
-        """Name of its corner; empty for a single suspension."""
-        return self.ending.removeprefix("_")
+class Suspension(SuspensionParts):
+    """Suspension of the body on a wheel; its attributes are those of `models.suspension.SuspensionParts`."""
 
     @property
     def velocity(self) -> Signal:
         """The signal of its extension rate."""
         common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)
-        corner = self.ending.removeprefix("_") if common else self.deflection
+        corner = self.corner if common else self.deflection
         return SUSPENSION_VELOCITY.at(corner) if corner else SUSPENSION_VELOCITY
 
 

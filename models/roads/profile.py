@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 GAP = 10.0  # largest spacing over the median one; in a wider gap a spline would be invented, and points may be missing
 SHORT = 5.0  # m, of a gap that is no doubt drawn by its ends
-STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
+SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have a thousandth, the roughest class of ISO 8608 a half
+CHORD = 0.25  # m, of slopes as in ASTM E1926
 FEWEST = 4  # points of a spline
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
@@ -76,17 +77,22 @@ class Profile(MeasuredRoad):
                 ":distance_unit=km or :height_unit=mm"
             )
 
-    def gap(self, length: float) -> str:
-        """Returns a remark on the widest gap between points over a driven length [m]; empty without any."""
-        x, _ = self._driven(length)
+    def remark(self, length: float) -> str:
+        """Returns a remark on the widest gap between points over a driven length [m], or on heights of no road; empty without."""
+        x, z = self._driven(length)
         steps = np.diff(x)
         i, usual = int(steps.argmax()), float(np.median(steps))
-        if steps[i] <= max(GAP * usual, SHORT):
-            return ""
-        return (
-            f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
-            "there: check that no points are missing"
-        )
+        if steps[i] > max(GAP * usual, SHORT):
+            return (
+                f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
+                "there: check that no points are missing"
+            )
+        chord = max(CHORD, usual)
+        at = np.arange(x[0], x[-1] + chord / 2, chord)  # so that texture does not count
+        rough = max(float(np.diff(np.interp(at, x, track)).std()) / chord for track in z.T) if len(at) > 1 else 0.0
+        smooth = ROUNDING * max(1.0, float(np.abs(z).max())) / usual < rough < SMOOTHEST
+        said = "no road is so smooth: check the units of heights and distances"
+        return f"the slope varies by {round(rough, 8):g} rms; {said}" if smooth else ""
 
     def _driven(self, length: float) -> tuple[Array, Array]:
         """Returns distances and heights of the points up to the first one behind a driven length [m]."""

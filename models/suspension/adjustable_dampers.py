@@ -18,9 +18,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.suspension import SuspensionParts
 from models.suspension.curve import ForceCurve
 from models.suspension.damper import Damper
-from models.suspension.fitted_curves import Suspended, SuspensionCurve
+from models.suspension.fitted_curves import SuspensionCurve
 from models.suspension.surface import ForceSurface
 
 COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
@@ -101,7 +102,7 @@ class Adjustable:
 
 def adjustable(
     dampers: Mapping[str, Damper],
-    suspensions: Sequence[Suspended],
+    suspensions: Sequence[SuspensionParts],
     parameters: Mapping[str, float],
     curves: Mapping[str, ForceCurve],
     tables: Collection[str] = (),

@@ -347,7 +347,8 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
 
 def _stiffness(where: str, value: Any) -> Stiffness:
     if isinstance(value, Mapping):
-        with error_in(f"{where}:" if where.startswith("[") else f"[limits] {where}:"):
+        key = where.replace(STOP_KEYS[1], STOP)  # the name of the key for tables
+        with error_in(f"{key}:" if key.startswith("[") else f"[limits] {key}:"):
             return _stop_table(value)
     if not isinstance(value, (list, tuple)):
         return number_within(where, value, SMALLEST, LARGEST, "N/m")

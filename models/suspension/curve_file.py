@@ -8,6 +8,7 @@ READ_T_O_START_TABLE_READ).
 """
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -121,11 +122,8 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     file, over = folder / name, _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
-        text = table_text(file)
-        if name.lower().endswith(".dpr"):
-            table = _of_dpr(text)
-        else:
-            table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
+        text = _dpr_columns(table_text(file)) if name.lower().endswith(".dpr") else table_text(file)
+        table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
             raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
@@ -144,20 +142,23 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     """
     table = find_table(text, GIVE)
     headings = table.headings([QUANTITIES[name].si for name in ROLES])
-    roles = [_role(heading) for heading in headings]
-    wanted = "deflection" if over == "compression" else over or ("velocity" if "velocity" in roles else "deflection")
-    known = [heading for heading, role in zip(headings, roles, strict=True) if role == wanted]
-    forces = [heading for heading, role in zip(headings, roles, strict=True) if role == "force"]
-    if not known and {*roles} & ({*ARGUMENTS} - {wanted}):
+    by_role: dict[str, list[Heading]] = defaultdict(list)
+    for heading in headings:
+        by_role[_role(heading)].append(heading)
+    wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
+    known, forces = by_role[wanted], by_role["force"]
+    if not known and any(by_role[one] for one in ARGUMENTS):
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
     told = {"deflection", "compression"} if over == "compression" else SIGNED[wanted]
-    if not sheet and not any(one.direction or told & one.words for one in (*known, *forces)):
-        asked = next((one for one, role in zip(headings, roles, strict=True) if role != "force"), headings[0])
-        raise InputError(
-            f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
-            f"above it ({wanted} is positive in extension)"
-        )
+    undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
+    asked = next((one for one in headings if one not in forces), headings[0])
+    question = InputError(
+        f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
+        f"above it ({wanted} is positive in extension)"
+    )
+    if undirected and not (over == "compression" and known):
+        raise question
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
         columns = listing(one.name for one in headings)
@@ -167,8 +168,10 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     x, *values = (numbers * [used[0].scale(wanted), *(one.scale("force") for one in used[1:])]).T
     if sheet:
         return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True))
-    # A stop's own compression may have any other word before it: rebound stop compression.
-    named = -1 if over == "compression" and "compression" in used[0].words else used[0].direction
+    if undirected and numbers.min() < 0:
+        raise question
+    # A stop's own compression may have any other word before it: rebound stop compression. Without a direction it is meant, too.
+    named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force, note = towards * x, (named or used[1].direction or 1) * values[0], {}
     if (np.diff(x) <= 0).any() and (np.diff(x) >= 0).any():
@@ -218,17 +221,16 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
     pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # either sign is usual
-    for i in np.flatnonzero((np.minimum(pushing, pulling) < 0) | ((v == 0) & (np.abs(pushing - pulling) > GAS * pulling.max())))[
-        :1
-    ]:
+    gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
+    for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
         raise InputError(f"has {a:g} and {b:g} N at {v[i]:g} m/s, as of a gas; subtract its force, part of the spring's preload")
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
 
 
-def _of_dpr(text: str) -> dict[str, list[float]]:
-    """Returns the table of a damper property file, in SI units."""
+def _dpr_columns(text: str) -> str:
+    """Returns the table of a damper property file with headings, line for line."""
     text = re.sub(r"[$!].*", "", text)
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}  # lines before a block
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
@@ -238,27 +240,15 @@ def _of_dpr(text: str) -> dict[str, list[float]]:
     units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
     if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units are in a table, too
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
-    length, force, time = (
-        _size(units, key, name) for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time"))
-    )
+    for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time")):
+        if unit_size(units.get(key, ""), QUANTITIES[name].si) is None:
+            found = f"has {key} = {quoted(units[key])}" if key in units else f"has no {key}"
+            raise InputError(f"[UNITS] {found}; give one of {listing(QUANTITIES[name].units)}")
     heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
     names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
-    rows = "\n" * before["CURVE"] + HEAD.sub("", blocks["CURVE"])
-    numbers, _ = find_table(rows, "give two numbers, velocity and force").numbers((0, 1))
-    v, forces = (numbers * [length / time, force]).T.tolist()
-    return {"velocity": v, "force": forces}
-
-
-def _size(units: Mapping[str, str], key: str, name: str) -> float:
-    """Returns the size of a unit of `[UNITS]` in SI, of the dimension of a quantity."""
-    allowed = listing(QUANTITIES[name].units)
-    if key not in units:
-        raise InputError(f"[UNITS] has no {key}; give one of {allowed}")
-    size = unit_size(units[key], QUANTITIES[name].si)
-    if size is None:
-        raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {allowed}")
-    return size
+    headings = f"velocity [{units['LENGTH']}/{units['TIME']}]\tforce [{units['FORCE']}]"
+    return "\n" * (before["CURVE"] - 1) + headings + "\n" + HEAD.sub("", blocks["CURVE"])

@@ -380,9 +380,9 @@ def _surface(entry: Mapping[str, Any]) -> ForceSurface:
     for at, column in zip(d, table.T, strict=True):
         with error_in(f"at deflection {at:g} m:"):
             x, force, _ = _from_rest(v, column, VELOCITY)
-            columns.append(_checked(ForceCurve(x, force, slope_at_rest(x, force), ""), VELOCITY).force)
+            columns.append(_checked(ForceCurve(x, force, slope_at_rest(x, force), ""), VELOCITY))
     words = f"{len(v)} velocities by {len(d)} deflections, at most {np.abs(table).max():g} N"
-    return surface_of(x, d, np.stack(columns, axis=1), words)
+    return surface_of(columns[0].x, d, np.stack([one.force for one in columns], axis=1), words)
 
 
 def _with_friction(curve: ForceCurve, entry: Mapping[str, Any]) -> ForceCurve:

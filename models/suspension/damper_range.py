@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.semi_active import STILL
 from models.suspension.adjustable_dampers import Adjustable
 from models.suspension.curve import Pieces
+
+STILL = 1e-150  # m/s, in place of a velocity of 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,58 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.formats import rough
+from models.suspension import SuspensionParts
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 from models.suspension.motion_ratio import RatioTable
 from models.suspension.surface import ForceSurface
-
-
-class Suspended(Protocol):
-    """Suspension of a vehicle; see `models.kinds.kind.Suspension`."""
-
-    @property
-    def deflection(self) -> str:
-        """Signal of its extension."""
-        ...
-
-    @property
-    def tendon(self) -> str:
-        """Its tendon in the MJCF."""
-        ...
-
-    @property
-    def force(self) -> str:
-        """The input that pushes along it; empty for a passive one."""
-        ...
-
-    @property
-    def ending(self) -> str:
-        """Suffix of the names at its corner."""
-        ...
-
-    @property
-    def stiffness(self) -> str:
-        """The parameter of its spring; empty if it has no spring."""
-        ...
-
-    @property
-    def damping(self) -> str:
-        """The parameter of its damper; empty if it has no damper."""
-        ...
-
-    @property
-    def ratio(self) -> str:
-        """The parameter of its motion ratio; empty if it has none."""
-        ...
-
-    def motion_ratio(self, parameters: Mapping[str, float]) -> float:
-        """Returns its motion ratio."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +51,7 @@ class SuspensionCurve:
         return self.curve.pieces.force(velocity if self.damps else deflection)
 
 
-def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
+def curvable(suspensions: Sequence[SuspensionParts]) -> dict[str, Argument]:
     """Returns the parameters that a curve can replace, each with the curve's argument."""
     damping = {suspension.damping: VELOCITY for suspension in suspensions if suspension.damping}
     return {suspension.stiffness: DEFLECTION for suspension in suspensions if suspension.stiffness} | damping
@@ -121,7 +79,7 @@ def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> d
 
 
 def fitted(
-    suspensions: Sequence[Suspended],
+    suspensions: Sequence[SuspensionParts],
     curves: Mapping[str, ForceCurve],
     parameters: Mapping[str, float],
     dampers: Mapping[str, ForceCurve | None],

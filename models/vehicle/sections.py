@@ -1,5 +1,6 @@
 """Sections of a vehicle file: `[performance]`, and rare ones, whose readers are loaded only if the file has them."""
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, flag_within, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
-from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number, no_loads
+from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number, no_loads
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
@@ -221,6 +222,35 @@ def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str
     loads = kind.static_loads(parameters)
     springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
+
+
+def suspension_doubts(
+    kind: VehicleKind,
+    parameters: Mapping[str, float],
+    curves: Mapping[str, "ForceCurve"],
+    dampers: Mapping[str, "Damper"],
+    limits: "Limits",
+) -> list[str]:
+    """Returns remarks on tables of springs, dampers and stops that are probably in another unit or of the other sign."""
+    if not (curves or dampers or limits.stopped):
+        return []
+    from models.suspension.plausibility import damper_doubts, length_doubts, stop_doubts
+
+    loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), limits.stops(kind.suspensions)
+    doubts = dict[str, None]()
+    for part in kind.suspensions:
+        load, k, ratio = loads.get(part.deflection), wheel.get(part.stiffness), part.motion_ratio(parameters)
+        critical = 2 * math.sqrt(k * load / GRAVITY) / ratio**2 if k and load else None
+        pair = dampers[part.force].pair if part.force in dampers else None
+        pairs = {"[actuators]": (pair.soft, pair.hard)} if pair is not None else {}
+        pairs |= {part.damping: (one, one)} if (one := curves.get(part.damping)) is not None else {}
+        for name, both in pairs.items():
+            doubts |= dict.fromkeys(f"{name}: {said}" for said in damper_doubts(*both, critical))
+        if (spring := curves.get(part.stiffness)) is not None:
+            doubts |= dict.fromkeys(f"{part.stiffness}: {said}" for said in length_doubts(max(-spring.x[0], spring.x[-1])))
+        for side, (_, stop) in stops[part.deflection].sides.items() if part.deflection in stops else ():
+            doubts |= dict.fromkeys(f"[limits] {side} stop: {said}" for said in stop_doubts(stop, load and load / ratio))
+    return list(doubts)
 
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:

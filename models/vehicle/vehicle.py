@@ -40,6 +40,7 @@ from models.vehicle.sections import (
     read_sampled,
     read_sums,
     road_files,
+    suspension_doubts,
     whole_text,
     with_payload,
 )
@@ -484,9 +485,10 @@ class Vehicle(Shown):
         """Questions about numbers that are probably not in SI units, and remarks on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        units = unit_doubts(self.kind.at_wheels(self.parameters), self.limits)
+        wheel, measured = self.kind.at_wheels(self.parameters), {part.damping for part in self.kind.suspensions} & {*self.curves}
         return [
-            *units,
+            *unit_doubts({name: value for name, value in wheel.items() if name not in measured}, self.limits),
+            *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
         ]

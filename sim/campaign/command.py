@@ -42,7 +42,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     """
     campaign = read_campaign(options.file)
     for road in campaign.roads:
-        if road.profile is not None and (remark := road.profile.gap(max(campaign.speeds) * campaign.duration)):
+        if road.profile is not None and (remark := road.profile.remark(max(campaign.speeds) * campaign.duration)):
             complain(f"remark: road {road.text!r}: {remark}")
     request = requested(campaign, options.best, options.subject_to or (), options.save)
     read = [options.file, *(file for vehicle in campaign.vehicles.values() for file in vehicle.files)]

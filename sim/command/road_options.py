@@ -138,13 +138,13 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 
 def gaps(road: "Road", duration: float) -> list[str]:
-    """Returns a remark on a wide gap between the points of a road from a file that are driven in a time [s]."""
+    """Returns a remark on the points of a road from a file that are driven in a time [s]: a wide gap, or heights of no road."""
     from models.roads.profile import Profile
     from models.roads.road import Departure
 
     felt = road.from_start
     profile = felt.road if isinstance(felt, Departure) else None
-    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(road.speed * duration)) else []
+    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.remark(road.speed * duration)) else []
 
 
 def starts_later(options: argparse.Namespace) -> bool:

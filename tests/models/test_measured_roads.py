@@ -329,7 +329,7 @@ def test_a_mountain_road_is_driven(tmp_path, capsys):
 
 
 def test_lines_need_two_points(tmp_path, capsys):
-    """Straight lines take two points and a wide gap, which is remarked; a spline takes four and no gap."""
+    """Straight lines take two points and a wide gap, which is remarked, as heights of no road are; a spline takes four."""
     (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
     (tmp_path / "flat.csv").write_text("0,0\n1,0\n2,0.02\n3,0\n40,0\n")
     road = choose_road("road.csv:from=30", tmp_path).build(car("quarter_car"), V, 0, 10.0)
@@ -338,7 +338,11 @@ def test_lines_need_two_points(tmp_path, capsys):
     assert main([*arguments, str(tmp_path / "flat.csv")]) == 0
     assert "no point lies between 3 m and 40 m, where others are 1 m apart" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "road.csv")]) == 0
-    assert "no point lies" not in capsys.readouterr().err
+    assert "remark" not in capsys.readouterr().err
+    (tmp_path / "road.csv").write_text("distance [m],height [mm]\n0,0\n1,0.001\n2,0.04\n3,0.02\n12,0\n")  # heights in m
+    assert main([*arguments, str(tmp_path / "road.csv")]) == 0
+    assert "rms; no road is so smooth: check the units of heights" in capsys.readouterr().err
+    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
     with refused("a smooth profile needs at least 4 points, and has 3"):
         choose_road("road.csv:from=30:join=smooth", tmp_path)
     with refused("gap from 3 m to 40 m"):

@@ -113,10 +113,13 @@ def test_an_own_integration_has_the_same_motion(tmp_path, kind, fault):
 BESIDE = '[curves]\nsuspension_stiffness = [\n  "14 kN/m",  # the coil\n  { file = "bump.csv" },\n]'
 
 
-@pytest.mark.parametrize("more", ['[limits]\nstop = "bump.csv"', '[limits.stop]\nbump = "bump.csv"', BESIDE])
-def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more):
-    """Compression is minus deflection: as a stop or beside the spring, the table pushes the body up, and logs prove it."""
-    vehicle = read_with(tmp_path, more, bump=STOP)
+IN_LIMITS, POSITIVE = '[limits.stop]\nbump = "bump.csv"', STOP.replace("compression", "Travel").replace("-80,0\n", "")
+
+
+@pytest.mark.parametrize(("more", "table"), [('[limits]\nstop = "bump.csv"', STOP), (IN_LIMITS, POSITIVE), (BESIDE, STOP)])
+def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more, table):
+    """Compression, or a stop's travel from 0 on, is minus deflection: its table pushes the body up, and logs prove it."""
+    vehicle = read_with(tmp_path, more, bump=table)
     d, stops = np.linspace(-0.08, 0.08, 161), vehicle.limits.stops_at("")
     found = stops.pull(d) if stops else vehicle.curves["suspension_stiffness"](d) - 14e3 * d
     np.testing.assert_allclose(found, -held(-d, [0.02, 0.03, 0.04, 0.05, 0.06], [0, 900, 2600, 5600, 11000]), atol=1e-8)

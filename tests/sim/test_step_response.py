@@ -255,6 +255,26 @@ def test_of_a_law_in_python(tmp_path):
     assert abs(metrics["control_force"].continuous.peak) == pytest.approx(np.abs(force).max(), rel=1e-12)
 
 
+@pytest.mark.parametrize("gain", [-6000.0, 60e3])
+def test_of_a_law_for_study(gain):
+    """With a law that measures heights each signal ends where MuJoCo's run ends; an unstable loop has no such end."""
+    law = f'[controllers.s]\nstudy = true\nmeasured = ["sprung_displacement", "sprung_velocity"]\ngain = [[{gain}, -3000.0]]\n'
+    vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n{law}")
+    run = run_controllers(vehicle, [Designer(vehicle).design("s")], ROAD, sample_times(vehicle, 5.0, STEP))[0]
+    metrics, stiffness = measure_step(run), vehicle.parameters["suspension_stiffness"]
+    lasting = ROAD.height * stiffness / (stiffness - gain) if gain < 0 else ROAD.height  # k (z_r - z_s) + gain z_s = 0
+    assert metrics["sprung_displacement"].final == pytest.approx(lasting, rel=1e-9)
+    if gain > 0:
+        assert metrics["control_force"].final == 0.0
+        return
+    for name, one in metrics.items():
+        assert run.physics[name][-1] == pytest.approx(one.final, abs=2e-3 * np.abs(run.physics[name]).max()), name  # after 5 s
+        assert one.mujoco is not None
+        if one.final:
+            largest = (np.sign(one.final) * run.physics[name]).max()
+            assert one.mujoco.overshoot == pytest.approx(largest / abs(one.final) - 1, rel=1e-3, abs=1e-3)
+
+
 def test_command(capsys):
     """The command prints what is in its JSON, the band is an option, and of other roads there is no band."""
     options = ["--controller", "I", "--road", "step:height=0.005", "--duration", "1", "--no-logs", "--band", "5"]

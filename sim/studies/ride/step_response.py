@@ -1,7 +1,8 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of absolute error.
 
-A height ends at the step's height, every other signal at zero, except with a law for study, whose force may last. The error is
-the distance from there. Time begins when the first wheel reaches the edge.
+A height ends at the step's height, and every other signal at zero. With a law for study, which measures heights, the force may
+last, and all but velocities and accelerations may end elsewhere. The error is the distance from the final value. Time begins when
+the first wheel reaches the edge.
 """
 
 import math
@@ -34,10 +35,10 @@ class StepMetrics:
     """Metrics of one signal's response to a step.
 
     Attributes:
-        peak: the largest value in the direction of the step if the signal is a height, else the value of largest size.
+        peak: the largest value in the direction of the final value, or the value of largest size if that is zero.
         peak_time: time of the peak [s].
-        overshoot: excess of the peak of a height over the step, relative to the step; for other signals the largest value of the
-            opposite sign after the peak, over the peak.
+        overshoot: excess of the peak over the final value, relative to that; for a signal that returns to zero the largest value
+            of the opposite sign after the peak, over the peak.
         settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
         iae: integral of the absolute error over the run [unit s].
@@ -107,7 +108,7 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
 
     Args:
         final: value at the end.
-        height: True if it is a height, which rises to `final`.
+        height: True if `final` is not zero, as for a height.
         half_band: largest error within the band.
     """
     error = pieces.less(final)
@@ -133,8 +134,8 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
     Args:
         run: run over a `Step`.
-        percent: half the width of the band: of the step's height for heights, of the peak in the continuous response for
-            others (without one, in the sampled response).
+        percent: half the width of the band: of the final value, or, if that is zero, of the peak in the continuous response
+            (without one, in the sampled response).
         continuous: signals of the continuous response between samples, if they are known.
 
     Raises:
@@ -172,13 +173,20 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
 
 def _lasting(run: Run) -> Array:
-    """Returns what a metre of road under all wheels leaves of every output signal for good, shape (p,)."""
+    """Returns what a metre of road under all wheels leaves of every output signal for good, shape (p,).
+
+    An unstable loop counts as one without a law for study.
+    """
     model, loop = run.vehicle.linear_model, run.prediction.loop
+    usual = model.Cr.sum(axis=1)
     if loop is None or not model.over_datum(loop.controller.measured):
-        return model.Cr.sum(axis=1)
+        return usual
     model, G = loop.continuous.model, loop.continuous.G
-    left = model.Cr - (model.C + model.D @ G) @ np.linalg.solve(model.A + model.B @ G, model.Br)
-    return left[: len(run.vehicle.linear_model.outputs)].sum(axis=1)
+    closed = model.A + model.B @ G
+    if not np.linalg.eigvals(closed).real.max() < 0:
+        return usual
+    left = model.Cr - (model.C + model.D @ G) @ np.linalg.solve(closed, model.Br)
+    return left[: len(usual)].sum(axis=1)
 
 
 def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
@@ -215,8 +223,8 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
         blocks.append(Document(run.controller.name, (table,), "full"))
     about = (
         "IAE and ITAE: in the signal's unit times s and s², of the distance from the final value.",
-        f"Settled: from then on within {percent:g} % of the step's height, or of the peak for a signal that returns to zero.",
-        "Overshoot: of a height beyond the step; of others to the opposite side after the peak, relative to the peak.",
+        f"Settled: from then on within {percent:g} % of the final value, or of the peak for a signal that returns to zero.",
+        "Overshoot: beyond the final value, relative to it; if that is zero, to the opposite side after the peak, over the peak.",
         "Exact: the continuous linear response, located between samples. MuJoCo: cubics through its samples, forces held.",
     )
     return Document(title, (*blocks, *notes(*about, detail="full")))
