@@ -208,11 +208,14 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
 
     if kind.static_loads is no_loads:
         raise InputError(f"[curves] {min(names)}: this vehicle type has no static_loads, which preload its springs; add them")
+    for part in kind.suspensions:
+        if part.ratio in names and not part.damping:
+            raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set that of its Suspension")
     ratios = {}
-    for name in section:
-        if name in names:
-            with error_in(f"[curves] {name}:"):
-                ratios[name] = ratio_table(section[name])
+    for parameter in kind.parameters:
+        if parameter.name in names:
+            with error_in(f"[curves] {parameter.name}:"):
+                ratios[parameter.name] = ratio_table(section[parameter.name], parameter.check)
     return ratios
 
 
