@@ -31,6 +31,7 @@ from models.suspension.surface import ForceSurface, surface_of
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
 ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest
 FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
@@ -70,6 +71,25 @@ class RatioTable:
     def scaled(self, at_rest: float) -> "RatioTable":
         """Returns the table times a factor, with another ratio at rest."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
+
+    def about(self, rest: float) -> "RatioTable":
+        """Returns the table over deflections from another rest [m].
+
+        Raises:
+            InputError: the table ends before.
+        """
+        if not self.x[0] < rest < self.x[-1]:
+            raise InputError(f"rest moves beyond its table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend it")
+        return replace(self, x=self.x - rest)
+
+    def carrying(self, rate: float, load: float, other: float) -> float:
+        """Returns the deflection at which a spring of a rate [N/m] that carries a load at rest carries another one [N]."""
+        low, high = -FARTHEST, FARTHEST
+        for _ in range(HALVINGS):
+            d = (low + high) / 2
+            short = self(np.array(d)) * (load / self.at_rest - rate * self.travel(np.array(d))) < other
+            low, high = (low, d) if short else (d, high)
+        return (low + high) / 2
 
     def travel(self, deflection: Array) -> Array:
         """Returns D [m] at deflections [m], shape (...)."""

@@ -283,8 +283,8 @@ def with_payload(
     parameters: dict[str, float],
     limits: "Limits",
     curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, float], Limits]":
-    """Reads `[payload]`, or its sections of several: returns parameters and limits of the vehicle with these point masses.
+) -> "tuple[dict[str, float], Limits, VehicleKind]":
+    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
 
     The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
     added to the rebound strokes.
@@ -293,7 +293,7 @@ def with_payload(
         InputError: a key or value is not allowed, or the vehicle cannot carry it so.
     """
     if not section:
-        return parameters, limits
+        return parameters, limits, kind
     from models.vehicle.payload import laden
 
     return laden(section, kind, parameters, limits, curves)

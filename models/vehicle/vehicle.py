@@ -599,7 +599,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     data = in_si_units(text, data, vehicle_kind)
     curves, parameters, vehicle_kind = curves_and_parameters(data, vehicle_kind)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
-    parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
+    parameters, limits, vehicle_kind = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
     sampled = read_sampled("[implementation]", data.get("implementation", {}), False, implementation.sample_period)
