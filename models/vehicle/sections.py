@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 PUSHING = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+ROUNDING = 1e-9  # of a load
 CARRIED = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
 
 
@@ -224,6 +225,25 @@ def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str
     loads = kind.static_loads(parameters)
     springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
+
+
+def settled(
+    kind: VehicleKind, curves: Mapping[str, "ForceCurve"], before: Mapping[str, float], parameters: dict[str, float]
+) -> dict[str, "ForceCurve"]:
+    """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
+
+    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one.
+    """
+    settled = dict(curves)
+    if kind.ratios or not any(curve.at_rest for curve in curves.values()):
+        return settled
+    loads, now = static_loads(kind, before), static_loads(kind, parameters)
+    for name, curve in curves.items():
+        if name in loads and now[name] != loads[name] and abs(curve.at_rest + loads[name]) <= ROUNDING * loads[name]:
+            with error_in(f"[curves] {name}:"):
+                settled[name] = curve.scaled(parameters[name] / curve.slope).carrying(now[name] - loads[name])
+            parameters[name] = settled[name].slope
+    return settled
 
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from models.vehicle.sections import (
     read_sampled,
     read_sums,
     road_files,
+    settled,
     whole_text,
     with_payload,
 )
@@ -152,7 +153,13 @@ class Vehicle(Shown):
             >>> heavier.parameters["sprung_mass"]
             600.0
         """
-        return replace(self, parameters={**self.parameters, **parameters}).checked()
+        return self.altered(parameters).checked()
+
+    def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
+        """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
+        parameters = {**self.parameters, **values}
+        curves = settled(self.kind, self.curves, self.parameters, parameters)
+        return replace(self, parameters=parameters, curves=curves, **fields)
 
     @cached_property
     def fitted(self) -> "tuple[SuspensionCurve, ...]":
