@@ -333,15 +333,35 @@ class VehicleKind(Checked):
         parts = [part for part in parts if parameters[part.ratio] != 1 or part.ratio in self.ratios]
         if not parts:
             return parameters
-        rates, loads = dict(parameters), self.static_loads(parameters) if self.ratios else {}
+        rates = dict(parameters)
         for part in parts:
             for name in (part.stiffness, part.damping):
                 if name in parameters:
                     rates[name] = parameters[name] * parameters[part.ratio] ** 2
-            if part.ratio in self.ratios and part.stiffness in parameters:
-                rates[part.stiffness] -= self.ratios[part.ratio].turn * loads[part.deflection]
+        for name, rate in self._rates_of_preload(parameters).items():
+            rates[name] += rate
         rates |= dict.fromkeys((part.ratio for part in parts), 1.0)
         return {name: rate for name, rate in rates.items() if name not in self.ratios}
+
+    def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
+        """Returns what motion ratios over travel add to the wheel rates of springs by their preload [N/m], by parameter.
+
+        Raises:
+            InputError: the load of a spring is unknown, or springs of one parameter carry different ones.
+        """
+        rates, loads = dict[str, float](), self.static_loads(parameters) if self.ratios else {}
+        for part in self.suspensions:
+            if part.ratio not in self.ratios or part.stiffness not in parameters:
+                continue
+            if part.deflection not in loads:
+                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add its load")
+            rate = -self.ratios[part.ratio].turn * loads[part.deflection]
+            if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
+                raise InputError(
+                    f"springs of {part.stiffness} carry different loads, so that {part.ratio} over travel makes different wheel "
+                    "rates of it; give each suspension its own parameter"
+                )
+        return rates
 
     def motion_ratios(self, parameters: Parameters, forces: Iterable[str]) -> dict[str, float]:
         """Returns the motion ratio of each force."""

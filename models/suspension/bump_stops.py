@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
     from models.suspension.curve import ForceCurve, Pieces
-    from models.suspension.motion_ratio import RatioTable
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
@@ -126,6 +125,8 @@ class Stop:
         stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
     """
 
+    over_travel: ClassVar[bool] = False  # True for `models.suspension.motion_ratio.StopOverTravel`
+
     stroke: float
     stiffness: tuple[float, float, float] | StopTable
 
@@ -160,34 +161,6 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class StopOverTravel(Stop):
-    """Bump stop at the wheel, through a motion ratio r(d) that changes with travel: r(d) F(D(d) - stroke).
-
-    Attributes:
-        sign: sign of its side's deflection.
-        own: the stop itself.
-        table: the motion ratio.
-    """
-
-    sign: float
-    own: Stop
-    table: "RatioTable"
-
-    def acts(self, beyond: Array) -> Array:
-        """See `Stop.acts`."""
-        return self.table(self.sign * (self.stroke + beyond)) * self.own.acts(self._compressed(beyond))
-
-    def work(self, beyond: Array) -> Array:
-        """See `Stop.work`."""
-        return self.own.work(self._compressed(beyond))
-
-    def _compressed(self, beyond: Array) -> Array:
-        """Returns the compression of the stop itself [m]."""
-        travel = self.sign * self.table.travel(self.sign * (self.stroke + beyond))
-        return np.where(beyond > 0, np.maximum(travel - self.own.stroke, 0.0), 0.0)
-
-
-@dataclass(frozen=True)
 class Stops:
     """Bump stops of a suspension, one for each side."""
 
@@ -212,7 +185,7 @@ class Stops:
     @property
     def over_travel(self) -> bool:
         """True if they act through a motion ratio that changes with travel."""
-        return any(isinstance(stop, StopOverTravel) for _, stop in self.sides.values())
+        return self.bump.over_travel or self.rebound.over_travel
 
     @property
     def alike(self) -> bool:

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.suspension import LEAVES
 
 STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
@@ -74,6 +75,21 @@ class ForceCurve:
     def at_wheel(self, ratio: float) -> "ForceCurve":
         """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
+
+    def carrying(self, more: float) -> "ForceCurve":
+        """Returns the curve of a spring about the rest at which it carries more load [N].
+
+        Raises:
+            InputError: the table does not reach that load.
+        """
+        low, high = -float(self.force.max()), -float(self.force.min())
+        if not low < more < high:
+            raise InputError(f"its table carries {low:.4g} to {high:.4g} N more than at rest, not {more:.4g} N; extend the table")
+        i = int(np.flatnonzero((self.force[:-1] <= -more) & (self.force[1:] >= -more))[0])
+        rest = float(np.interp(-more, self.force[i : i + 2], self.x[i : i + 2]))
+        x = np.unique([*(self.x - rest), 0.0])
+        force = np.where(x == 0, 0.0, self(x + rest) + more)
+        return replace(self, x=x, force=force, slope=slope_at_rest(x, force), at_rest=self.at_rest - more)
 
     @cached_property
     def slopes(self) -> Array:

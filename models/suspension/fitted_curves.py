@@ -25,6 +25,7 @@ class SuspensionCurve:
         over: argument of the curve.
         curve: the curve at the wheel; its slope is the parameter's value times the square of the motion ratio.
         ratio: motion ratio of the element.
+        of_preload: part of the slope that the preload adds by a motion ratio over travel [N/m].
     """
 
     deflection: str
@@ -33,6 +34,7 @@ class SuspensionCurve:
     over: Argument
     curve: ForceCurve
     ratio: float = 1.0
+    of_preload: float = 0.0
 
     @property
     def damps(self) -> bool:
@@ -58,12 +60,16 @@ def curvable(suspensions: Sequence[SuspensionParts]) -> dict[str, Argument]:
 
 
 def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
-    """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
-    bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
-    return ", ".join(
-        f"{name} {rough(curve.slope)} (elsewhere {rough(curve.slope_range[0])} to {rough(curve.slope_range[1])})"
-        for name, curve in bent.items()
-    )
+    """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight.
+
+    Slopes are the elements' own, as in `[parameters]`, without what a preload adds.
+    """
+    bent = {one.parameter: one for one in curves if one.curve.bent}
+    slopes = {
+        name: [(slope - one.of_preload) / one.ratio**2 for slope in (one.curve.slope, *one.curve.slope_range)]
+        for name, one in bent.items()
+    }
+    return ", ".join(f"{name} {rough(at)} (elsewhere {rough(low)} to {rough(high)})" for name, (at, low, high) in slopes.items())
 
 
 def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> dict[str, Any]:
@@ -105,7 +111,10 @@ def fitted(
             if table is not None and name in parameters:
                 rate, load = parameters[name], loads[suspension.deflection]
                 at_wheel = table.spring(curve, rate, load) if over is DEFLECTION else table.damper(curve, rate)
-                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, at_wheel, ratio))
+                own = (ratio, at_wheel.slope - ratio**2 * rate)
             elif curve is not None:
-                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve.at_wheel(ratio), ratio))
+                at_wheel, own = curve.at_wheel(ratio), (ratio,)
+            else:
+                continue
+            placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, at_wheel, *own))
     return tuple(placed)

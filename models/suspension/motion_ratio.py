@@ -12,28 +12,26 @@ A bump stop has no preload and no lines. An actuator pushes with r(d) u, where r
 semi-active damper's coefficient acts through the same ratio.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, number_within
+from models.common.checks import check_keys
 from models.common.errors import InputError, quoted
 from models.suspension import RATIO
+from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.curve_reading import DEFLECTION, MOST_LINES, points, thinned
 from models.suspension.surface import ForceSurface, surface_of
 
-if TYPE_CHECKING:
-    from models.suspension.bump_stops import Stops
-
-SMALLEST, LARGEST = 0.05, 5.0
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
 ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
+FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest
 FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
@@ -73,6 +71,25 @@ class RatioTable:
     def scaled(self, at_rest: float) -> "RatioTable":
         """Returns the table times a factor, with another ratio at rest."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
+
+    def about(self, rest: float) -> "RatioTable":
+        """Returns the table over deflections from another rest [m].
+
+        Raises:
+            InputError: the table ends before.
+        """
+        if not self.x[0] < rest < self.x[-1]:
+            raise InputError(f"rest moves beyond its table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend it")
+        return replace(self, x=self.x - rest)
+
+    def carrying(self, rate: float, load: float, other: float) -> float:
+        """Returns the deflection at which a spring of a rate [N/m] that carries a load at rest carries another one [N]."""
+        low, high = -FARTHEST, FARTHEST
+        for _ in range(HALVINGS):
+            d = (low + high) / 2
+            short = self(np.array(d)) * (load / self.at_rest - rate * self.travel(np.array(d))) < other
+            low, high = (low, d) if short else (d, high)
+        return (low + high) / 2
 
     def travel(self, deflection: Array) -> Array:
         """Returns D [m] at deflections [m], shape (...)."""
@@ -127,10 +144,8 @@ class RatioTable:
         surface = surface_of(v, d, table, f"{curve.words}, at its motion ratio", self(d))
         return replace(surface, slope=self.at_rest**2 * curve.slope)
 
-    def stops(self, stops: "Stops") -> "Stops":
+    def stops(self, stops: Stops) -> Stops:
         """Returns bump stops as they act at the wheel."""
-        from models.suspension.bump_stops import StopOverTravel
-
         both = {}
         for side, (sign, stop) in stops.sides.items():
             begins = abs(float(self.deflection(np.array(sign * stop.stroke))))
@@ -141,6 +156,36 @@ class RatioTable:
     def key(self) -> bytes:
         """Equal for tables with the same ratios."""
         return self.x.tobytes() + self.ratio.tobytes()
+
+
+@dataclass(frozen=True)
+class StopOverTravel(Stop):
+    """Bump stop at the wheel, through a motion ratio r(d) that changes with travel: r(d) F(D(d) - stroke).
+
+    Attributes:
+        sign: sign of its side's deflection.
+        own: the stop itself.
+        table: the motion ratio.
+    """
+
+    over_travel: ClassVar[bool] = True
+
+    sign: float
+    own: Stop
+    table: RatioTable
+
+    def acts(self, beyond: Array) -> Array:
+        """See `Stop.acts`."""
+        return self.table(self.sign * (self.stroke + beyond)) * self.own.acts(self._compressed(beyond))
+
+    def work(self, beyond: Array) -> Array:
+        """See `Stop.work`."""
+        return self.own.work(self._compressed(beyond))
+
+    def _compressed(self, beyond: Array) -> Array:
+        """Returns the compression of the stop itself [m]."""
+        travel = self.sign * self.table.travel(self.sign * (self.stroke + beyond))
+        return np.where(beyond > 0, np.maximum(travel - self.own.stroke, 0.0), 0.0)
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
@@ -163,8 +208,11 @@ def _lines(x: Array, force: Array, slope: float, error: float) -> tuple[Array, A
     return x, force
 
 
-def ratio_table(entry: Any) -> RatioTable:
+def ratio_table(entry: Any, check: Callable[[float], object]) -> RatioTable:
     """Returns a motion ratio from its table in a vehicle file.
+
+    Args:
+        check: raises an InputError for a ratio that is not allowed.
 
     Raises:
         InputError: the entry is not such a table.
@@ -177,5 +225,5 @@ def ratio_table(entry: Any) -> RatioTable:
     if not x[0] < 0 < x[-1]:
         raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
     for one in ratio.tolist():
-        number_within(RATIO, one, SMALLEST, LARGEST)
+        check(one)
     return RatioTable(x, ratio)

@@ -5,7 +5,8 @@ With the body's mass M and inertias I about its centre of mass, a mass m at (x, 
     M' = M + m,    I_pitch' = I_pitch + mu (x^2 + z^2),    I_roll' = I_roll + mu z^2,    mu = M m / (M + m),
 
 about the common centre of mass, which lies at m / (M + m) (x, z). Springs are linear, so the laden car has the same equations
-with these parameters. Its motion is about its own rest, where every suspension is compressed by the payload's weight.
+with these parameters. Its motion is about its own rest, where every suspension is compressed by the payload's weight. A motion
+ratio over travel is then about that rest.
 """
 
 from collections.abc import Mapping
@@ -32,18 +33,17 @@ MASS = Parameter("mass", "kg", "of a payload", largest=1e5)
 
 def laden(
     section: Mapping[str, Any], kind: VehicleKind, parameters: dict[str, float], limits: Limits, curves: Mapping[str, ForceCurve]
-) -> tuple[dict[str, float], Limits]:
-    """Returns parameters and limits of a vehicle with its payload; see `models.vehicle.sections.with_payload`."""
+) -> tuple[dict[str, float], Limits, VehicleKind]:
+    """Returns parameters, limits and type of a vehicle with its payload; see `models.vehicle.sections.with_payload`."""
     several = bool(section) and all(isinstance(one, Mapping) for one in section.values())
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
     model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
-    heavier = dict(parameters)
+    heavier, laden_kind = dict(parameters), kind
     shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
     if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:
         raise InputError("[payload]: this vehicle has no sprung_mass that moves vertically; omit the section")
     about_rest = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
-    about_rest += [*kind.ratios]
     if about_rest:
         raise InputError(
             f"[payload] sinks the car, but the curve {about_rest[0]} is about its rest without payload; give the curve about the "
@@ -65,9 +65,19 @@ def laden(
     for name, moved in (("axle_distance_front", -shift["x"]), ("axle_distance_rear", shift["x"]), ("centre_height", shift["z"])):
         if name in heavier:
             heavier[name] += moved
+    turning = [part for part in kind.suspensions if part.ratio in kind.ratios]
+    before, after = (kind.static_loads(one) if turning else {} for one in (parameters, heavier))
+    sunk = dict[str, float]()  # of the springs at these, by deflection [m]
+    for part in turning:
+        table, name = kind.ratios[part.ratio], part.deflection
+        rest = table.carrying(parameters.get(part.stiffness, 0.0), before[name], after[name])
+        sunk[name] = float(table.travel(np.array(rest)))
+        with error_in(f"[payload] {part.ratio}:"):
+            laden_kind = replace(laden_kind, ratios={**laden_kind.ratios, part.ratio: table.about(rest)})
+        heavier[part.ratio] = laden_kind.ratios[part.ratio].at_rest
     with error_in("[payload]: with it"):
-        checked = kind.check(heavier)
-    return checked, _sunk(kind, model, load, limits, parameters)
+        checked = laden_kind.check(heavier)
+    return checked, _sunk(kind, model, load, limits, parameters, sunk), laden_kind
 
 
 def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[float, dict[str, float]]:
@@ -91,9 +101,14 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
 
 
 def _sunk(
-    kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits, parameters: Mapping[str, float]
+    kind: VehicleKind,
+    model: LinearModel,
+    load: Mapping[str, float],
+    limits: Limits,
+    parameters: Mapping[str, float],
+    known: Mapping[str, float],
 ) -> Limits:
-    """Returns the limits with strokes from the laden rest."""
+    """Returns the limits with strokes from the laden rest, where some springs are known to be stretched so far [m]."""
     stops = limits.stops(kind.suspensions)
     if not stops:
         return limits
@@ -104,6 +119,7 @@ def _sunk(
             continue
         pair = stops[part.deflection]
         stretched = part.motion_ratio(parameters) * float(model.rows([part.deflection])[0][0] @ rest)
+        stretched = known.get(part.deflection, stretched)
         left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PUSHING = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+ROUNDING = 1e-9  # of a load
 CARRIED = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
 
 
@@ -209,11 +210,14 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
 
     if kind.static_loads is no_loads:
         raise InputError(f"[curves] {min(names)}: this vehicle type has no static_loads, which preload its springs; add them")
+    for part in kind.suspensions:
+        if part.ratio in names and not part.damping:
+            raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set that of its Suspension")
     ratios = {}
-    for name in section:
-        if name in names:
-            with error_in(f"[curves] {name}:"):
-                ratios[name] = ratio_table(section[name])
+    for parameter in kind.parameters:
+        if parameter.name in names:
+            with error_in(f"[curves] {parameter.name}:"):
+                ratios[parameter.name] = ratio_table(section[parameter.name], parameter.check)
     return ratios
 
 
@@ -251,6 +255,25 @@ def suspension_doubts(
         for side, (_, stop) in stops[part.deflection].sides.items() if part.deflection in stops else ():
             doubts |= dict.fromkeys(f"[limits] {side} stop: {said}" for said in stop_doubts(stop, load and load / ratio))
     return list(doubts)
+
+
+def settled(
+    kind: VehicleKind, curves: Mapping[str, "ForceCurve"], before: Mapping[str, float], parameters: dict[str, float]
+) -> dict[str, "ForceCurve"]:
+    """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
+
+    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one.
+    """
+    settled = dict(curves)
+    if kind.ratios or not any(curve.at_rest for curve in curves.values()):
+        return settled
+    loads, now = static_loads(kind, before), static_loads(kind, parameters)
+    for name, curve in curves.items():
+        if name in loads and now[name] != loads[name] and abs(curve.at_rest + loads[name]) <= ROUNDING * loads[name]:
+            with error_in(f"[curves] {name}:"):
+                settled[name] = curve.scaled(parameters[name] / curve.slope).carrying(now[name] - loads[name])
+            parameters[name] = settled[name].slope
+    return settled
 
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
@@ -310,8 +333,8 @@ def with_payload(
     parameters: dict[str, float],
     limits: "Limits",
     curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, float], Limits]":
-    """Reads `[payload]`, or its sections of several: returns parameters and limits of the vehicle with these point masses.
+) -> "tuple[dict[str, float], Limits, VehicleKind]":
+    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
 
     The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
     added to the rebound strokes.
@@ -320,7 +343,7 @@ def with_payload(
         InputError: a key or value is not allowed, or the vehicle cannot carry it so.
     """
     if not section:
-        return parameters, limits
+        return parameters, limits, kind
     from models.vehicle.payload import laden
 
     return laden(section, kind, parameters, limits, curves)

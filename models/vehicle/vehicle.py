@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from models.vehicle.sections import (
     read_sampled,
     read_sums,
     road_files,
+    settled,
     suspension_doubts,
     whole_text,
     with_payload,
@@ -153,7 +154,13 @@ class Vehicle(Shown):
             >>> heavier.parameters["sprung_mass"]
             600.0
         """
-        return replace(self, parameters={**self.parameters, **parameters}).checked()
+        return self.altered(parameters).checked()
+
+    def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
+        """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
+        parameters = {**self.parameters, **values}
+        curves = settled(self.kind, self.curves, self.parameters, parameters)
+        return replace(self, parameters=parameters, curves=curves, **fields)
 
     @cached_property
     def fitted(self) -> "tuple[SuspensionCurve, ...]":
@@ -601,7 +608,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     data = in_si_units(text, data, vehicle_kind)
     curves, parameters, vehicle_kind = curves_and_parameters(data, vehicle_kind)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
-    parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
+    parameters, limits, vehicle_kind = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
     sampled = read_sampled("[implementation]", data.get("implementation", {}), False, implementation.sample_period)

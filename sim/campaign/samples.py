@@ -219,4 +219,4 @@ def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
         for force in known[name][1]:
             dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
     parameters = {name: value for name, value in sample.items() if name not in known}
-    return replace(vehicle, parameters={**vehicle.parameters, **parameters}, dampers=dampers)
+    return vehicle.altered(parameters, dampers=dampers)

@@ -7,6 +7,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
 
 import mujoco
 import numpy as np
@@ -21,6 +22,9 @@ from sim.physics.computer import Computer, InitialState, driver_of, implementati
 from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage
 from synth.controller.controller import Controller, code_of
+
+if TYPE_CHECKING:
+    from sim.physics.surface_steps import SurfaceBatch
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
@@ -252,7 +256,7 @@ class _Loop:
         count = len(vehicles)
         batch = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
         actuators = Actuators(vehicles, readout)
-        turning = bool(len(actuators.closing) and vehicles[0].ratio_tables)
+        turning = cast("SurfaceBatch", batch) if len(actuators.closing) and vehicles[0].ratio_tables else None
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)
         now, midway = course.now[:, runs], course.midway[:, runs]
@@ -302,8 +306,8 @@ class _Loop:
                         reading[:, moved:] = measured
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
-                    if turning:  # a damper's velocity is that of its wheel times its ratio there
-                        signals[:, -actuators.forces :] *= batch.ratios(vehicles[0].linear_model.inputs)
+                    if turning is not None:  # a damper's velocity is that of its wheel times its ratio there
+                        signals[:, -actuators.forces :] *= turning.ratios(vehicles[0].linear_model.inputs)
                 for computer in computers:
                     computer.step(k, signals, commands)
                 acting = commands

@@ -11,6 +11,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.campaign.samples import with_sample
 from sim.inspect.__main__ import main as inspect
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
@@ -270,6 +271,30 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
         read_with(tmp_path, own.replace(" }", ', preload = "10 kN" }', 1))
     with refused("or preload = true for a table that begins at the free length"):
         read_with(tmp_path, OF_FILE, a=SPRING)
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+def test_a_preloaded_spring_follows_the_mass(tmp_path, kind):
+    """A sampled or changed mass has the spring of a file with that mass; a load beyond its table is refused."""
+    axles = [""] if kind == "quarter_car" else ["_front", "_rear"]
+    more = "[curves]\n" + "".join(f'suspension_stiffness{end} = {{ file = "a.csv", preload = true }}\n' for end in axles)
+    spring = SPRING.replace("200;4,5\n250;6,2\n", "200;5,5\n250;8,9\n") if kind == "quarter_car" else SPRING
+    vehicle = read_with(tmp_path, more, kind, a=spring)
+    mass = vehicle.parameters["sprung_mass"]
+    (tmp_path / "mine.toml").write_text(vehicle.text.replace(f"sprung_mass = {mass}", f"sprung_mass = {1.1 * mass!r}"))
+    heavy = read_vehicle(tmp_path / "mine.toml")
+    assert heavy.parameters["sprung_mass"] == 1.1 * mass
+    for changed in (vehicle.with_parameters(sprung_mass=1.1 * mass), with_sample(vehicle, {"sprung_mass": 1.1 * mass})):
+        x = np.linspace(-0.04, 0.04, 33)
+        for name, curve in heavy.curves.items():
+            assert changed.parameters[name] == pytest.approx(heavy.parameters[name], rel=1e-12)
+            np.testing.assert_allclose(changed.curves[name](x), curve(x), rtol=1e-9, atol=1e-9 * curve.range)
+        np.testing.assert_allclose(changed.linear_model.A, heavy.linear_model.A, rtol=1e-12)
+        assert not changed.doubts
+    assert any(heavy.parameters[name] != vehicle.parameters[name] for name in heavy.curves)
+    assert dict(vehicle.with_parameters(**{f"tyre_stiffness{axles[0]}": 2e5}).curves) == dict(vehicle.curves)
+    with refused("extend the table"):
+        vehicle.with_parameters(sprung_mass=9.0 * mass)
 
 
 @pytest.mark.parametrize("first", [0, 1], ids=["with time", "without time"])

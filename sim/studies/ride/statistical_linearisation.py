@@ -273,14 +273,10 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     pulls = elements(vehicle, vehicle.linear_model)
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
-    squares, at_wheels = {one.parameter: one.ratio**2 for one in placed}, vehicle.kind.at_wheels(vehicle.parameters)
+    of_parameter = {one.parameter: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        # A motion ratio that changes with travel adds to the rates at the wheels.
-        of_elements = {
-            name: (slope - (at_wheels[name] - squares[name] * vehicle.parameters[name])) / squares[name]
-            for name, slope in shared.items()
-        }
+        of_elements = {name: (shared[name] - one.of_preload) / one.ratio**2 for name, one in of_parameter.items()}
         linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
         if LoopModel(linear, controller, timestep).radius >= 1:
             return None
