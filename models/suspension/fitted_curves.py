@@ -115,7 +115,7 @@ def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> d
     """
     for name in slopes:
         if name in parameters:
-            raise InputError(f"{name} is in [parameters] and in [curves]; omit one: a curve has its slope at rest")
+            raise InputError(f"{name} is in both [parameters] and [curves]; omit it in [parameters], as the curve gives it")
     return {**parameters, **slopes}
 
 
