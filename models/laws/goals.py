@@ -345,7 +345,7 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
     for i, member in enumerate(value):
         for name, factor in member.items():
             if name not in parameters:
-                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; this vehicle has {listing(parameters)}")
+                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; the parameters are {listing(parameters)}")
             number_within(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
     return tuple({name: float(factor) for name, factor in member.items()} for member in value)
 

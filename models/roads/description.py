@@ -58,7 +58,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
     for name in description:
         if name not in (*allowed, "type", "factor"):
-            raise InputError(f"road {kind}: unknown key {quoted(name)}; known: {listing(allowed)}")
+            raise InputError(f"road {kind}: unknown key {quoted(name)}; known keys: {listing(allowed)}")
     given = [name for name in allowed if name in description or name != "start"]  # of a step that begins at once it is not said
     values = {name: _read(description, name, str if name == "track" else float) for name in given}
     road = OBSTACLES[kind](**values)

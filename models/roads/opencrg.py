@@ -57,7 +57,7 @@ class Surface:
         middle, tracks = (self.v[0] + self.v[-1]) / 2, []
         for v in (middle + track_width / 2, middle - track_width / 2):
             if not self.v[0] <= v <= self.v[-1]:
-                raise InputError(f"road file {self.source}: {self.v[-1] - self.v[0]:g} m wide, too narrow for {track_width:g} m")
+                raise InputError(f"road file {self.source}: width {np.ptp(self.v):g} m is less than the track {track_width:g} m")
             j = min(int(np.searchsorted(self.v, v, side="right")), len(self.v) - 1)
             share = (v - self.v[j - 1]) / (self.v[j] - self.v[j - 1])
             tracks.append(self.z[:, j - 1] + share * (self.z[:, j] - self.z[:, j - 1]))

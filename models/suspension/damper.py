@@ -169,7 +169,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
             known = f"give one of {listing(endings)}" if endings else "omit the section, as there is only one suspension"
             raise InputError(f"[actuators.{name}] is not a suspension of this vehicle; {known}")
         if name not in single and name not in KEYS:
-            raise InputError(f"[actuators] unknown key {name!r}; known: {listing((*KEYS, *endings))}")
+            raise InputError(f"[actuators] unknown key {name!r}; known keys: {listing((*KEYS, *endings))}")
     common = {name: value for name, value in section.items() if name not in single}
     own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
     for where, value in own.values():

@@ -102,7 +102,7 @@ def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
     bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
     return ", ".join(
-        f"{name} {curve.slope:.4g} (elsewhere {curve.slope_range[0]:.4g} to {curve.slope_range[1]:.4g})"
+        f"{name} {curve.slope:.4g} (slope of the whole curve: {curve.slope_range[0]:.4g} to {curve.slope_range[1]:.4g})"
         for name, curve in bent.items()
     )
 

@@ -229,7 +229,7 @@ class Implementation:
         if self.delay:
             phrases.append(f"forces that act {delay_text(self.delay)}")
         phrases += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
-        phrases += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
+        phrases += [f"{name} quantised in steps of {step:g}" for name, step in self.quantisation.items() if step]
         return tuple(phrases)
 
 
@@ -242,7 +242,7 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     of_actuators = {parameter.name: parameter for parameter in LIMITS}
     for name, value in section.items():
         if name not in (*of_actuators, "limit", *STOP_NAMES) and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
+            raise InputError(f"[limits] unknown key {name!r}; known keys: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
     if (limit := section.get("limit")) is not None:
         if limit not in ORDERS:
             raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")

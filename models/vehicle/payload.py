@@ -78,13 +78,13 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
                 f"{where} y is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
             )
         if key not in KEYS:
-            raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
+            raise InputError(f"{where} unknown key {key!r}; known keys: {listing(KEYS)}")
         if key in PLACE:
             number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
             raise InputError(f"{where} {key} has no effect, because this vehicle does not pitch; omit {key}")
     if "mass" not in given:
-        raise InputError(f"{where} mass is missing; give it in kg")
+        raise InputError(f"{where} mass is missing; give mass in kg")
     with error_in(where):
         mass = MASS.check(given["mass"])
     return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}

@@ -172,7 +172,7 @@ def test_opencrg(tmp_path):
         assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
     assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
     pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
-    with pytest.raises(InputError, match="too narrow"):
+    with pytest.raises(InputError, match="is less than the track"):
         choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
     (tmp_path / "none.crg").write_text("distance,height")
     with pytest.raises(InputError, match="not an OpenCRG file"):

@@ -327,7 +327,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("pid = 3.0", "pid = 3.0 is not a table"),
     ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd but no filter"),
     ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts only on the derivative"),
-    ("pid = { k = 1.0 }", "pid unknown key 'k'; known: filter, kd, ki, kp"),
+    ("pid = { k = 1.0 }", "pid unknown key 'k'; known keys: filter, kd, ki, kp"),
     ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller has only one law"),
     ("pid = { kp = [1.0, 2.0] }", r"pid.kp = \[1.0, 2.0\] is not allowed; give a number, or a list of 1"),
     ("pid = { kd = 1.0, filter = 0.0 }", "pid.filter = 0.0 is not allowed"),

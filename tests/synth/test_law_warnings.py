@@ -73,7 +73,7 @@ def test_a_law_that_no_computer_runs_hides_no_other(corner, capsys):
     car = corner(Q)
     assert synth(["--vehicle", car, "--controller", "passive", "--controller", "q"]) == 1
     out = capsys.readouterr().out
-    assert f"q FAILS: a pole of its law at +2.192e+04 1/s {TOO_FAST}" in prose(out)
+    assert f"q FAILS: an unstable pole of its law, at +2.192e+04 1/s, {TOO_FAST}" in prose(out)
     assert [line.split()[0] for line in out.splitlines() if line.startswith(("passive ", "q "))] == ["q", "passive", "q"]
     assert prose(out).endswith("not every claim holds: q FAILS; a law UNSTABLE by itself: q")
 
