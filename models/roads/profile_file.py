@@ -28,7 +28,7 @@ UNITS = {"distance_unit": "distance", "height_unit": "height"}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
-SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or begin lines without headings with #"
+SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
 A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
 STEPPED = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"

@@ -124,6 +124,6 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             if period is not None:
                 given = in_unit(entry.get("sample_period", period), "s", "sample_period")
                 if given != period:
-                    raise InputError(f"it has the sample period {period:g} s, but sample_period = {quoted(given)}; omit this key")
+                    raise InputError(f"its period is {period:g} s, but sample_period = {quoted(given)}; omit sample_period")
                 law |= {} if "sample_period" in entry else {"sample_period": period}
         yield Replacement(("controllers", name, "file"), law, origin(file, content), (path,))

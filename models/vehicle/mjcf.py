@@ -59,7 +59,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     read_text(vehicle.kind.mjcf, "MJCF", GIVE)
     spec = _drawn(vehicle)
     if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: {FITTED} is reserved; rename the actuator {taken[0]!r}")
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: names with {FITTED} are reserved; rename the actuator {taken[0]!r}")
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))

@@ -90,7 +90,7 @@ def test_a_sample_period_comes_with_it(tmp_path):
         (LAW | {"Ts": 0.004}, slow, 0.004),
     ):
         assert law_in(tmp_path, mat(variables), more).sample_period == period
-    with pytest.raises(InputError, match=r"has the sample period 0.002 s, but sample_period = 0.004; omit"):
+    with pytest.raises(InputError, match=r"its period is 0.002 s, but sample_period = 0.004; omit"):
         law_in(tmp_path, mat(LAW | {"Ts": 0.002}), slow)
 
 

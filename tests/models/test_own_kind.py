@@ -159,7 +159,7 @@ def test_parts_that_do_not_fit(folder, part, value, said):
         (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is not a direction"),
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"2 actuators for 1 inputs"),
-        ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"is reserved; rename the actuator 'fitted_1'"),
+        ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"reserved; rename the actuator 'fitted_1'"),
         ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
         ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub at least"),
     ],
