@@ -307,7 +307,7 @@ def test_a_folder_in_fixed_point(capsys, tmp_path):
     assert "1000 samples, 0 outputs differ" in prose(capsys.readouterr().out)
     page = (tmp_path / "ecu" / "README.md").read_text()
     assert "`sprung_velocity` ±1 m/s" in page
-    assert "m in steps of 3.814697265625e-06" in page  # 0.12 m over 32767 is a little less
+    assert "m, in steps of 3.814697265625e-06" in page  # 0.12 m over 32767 is a little less
     record = tmp_path / "ecu" / "certificate.json"
     record.write_text(record.read_text().replace("0.12", "0.13"))
     assert main(["--check", str(tmp_path / "ecu")]) == 1
