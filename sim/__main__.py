@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else arguments
     if words and not words[0].startswith("-"):
-        raise InputError(f"unknown command {words[0]!r}; roadproof has {listing(VERBS)}")
+        raise InputError(f"unknown command {words[0]!r}; the commands are {listing(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG)
     parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and its packages")
     options = parser.parse_args(arguments)

@@ -137,7 +137,7 @@ def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
     """Raises an InputError if a table, at the place `where`, has an unknown key."""
     for key in table:
         if key not in known:
-            raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(known)}".lstrip())
+            raise InputError(f"{where} unknown key {quoted(key)}; known keys: {listing(known)}".lstrip())
 
 
 def at_the_door(function: F) -> F:

@@ -83,7 +83,7 @@ class NumberTable:
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
-                raise InputError(f"{found}; begin lines that are not headings with #, or {self.give}")
+                raise InputError(f"{found}; put # before lines that are not headings, or {self.give}")
             if not optional and [other.quantity or other.name for other in headings].count(heading.quantity or heading.name) > 1:
                 raise InputError(
                     f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns"

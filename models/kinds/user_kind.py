@@ -143,7 +143,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
         "no output {}, which is a signal of the vehicle type; add the output, or remove the signal": signals - {*model.outputs},
         "an output {}, which is not a signal of the vehicle type; add it to the signals": {*model.outputs} - signals,
         "a state or input {} that is not an output; add it to the outputs": {*model.states, *model.inputs} - {*model.outputs},
-        "a state or input {} that is a signal on demand; add it to signals": {*model.states, *model.inputs} & {*kind.unnamed},
+        "a state or input {} that is in on_demand; list it in signals instead": {*model.states, *model.inputs} & {*kind.unnamed},
     }.items():
         if names:
             raise InputError(f"linear_model returns {what.format(repr(min(names)))}")

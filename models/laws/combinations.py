@@ -15,7 +15,7 @@ from models.laws.linear import MATRICES, MOST_STATES
 KINDS = {  # of controllers: a section is one of them
     "gain": "`gain`",
     "states": "`A`, `B`, `C`, `D`; `pid`",
-    "steps": "the two steps",
+    "steps": "the two-step design",
     "full": '`order = "full"`',
     "order": "`order = 2`",
     "pid": '`structure = "pid"`',
@@ -59,56 +59,56 @@ PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
 PREVIEW = "preview"  # a further one, of the state and the road ahead
 
-_OF_STATE = "it is of the state itself, which no sensor reads"
+_OF_STATE = "this design uses the full state, not the signals of sensors"
 _DESIGNED = "full order pid lqr lqg h2 preview"
 _GOALS = "goals tolerance family"
 _STUDIED = f"steps {_DESIGNED} semi_active"
-_NO_CLAIM = "it is used unchanged, and linear analysis does not apply to it"
+_NO_CLAIM = "such a law is used unchanged, and linear analysis does not apply to it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
         "stable",
         f"gain states steps lqr lqg h2 preview {_GOALS}",
-        "it is a law designed with an order that is made stable by itself",
+        "stable = true is available only for designs with an order",
     ),
-    ("stable", "pid", "its integral is a pole at 0, which is not stable by itself"),
+    ("stable", "pid", "the integral part has a pole at 0, so the law alone is not stable"),
     (
         "fastest_pole",
         f"gain states steps order pid lqr lqg h2 preview {_GOALS}",
-        f'it limits the speed of the loop of order = "{FULL}" alone',
+        f'fastest_pole is available only for order = "{FULL}"',
     ),
-    ("fastest_pole", "sampled", "a design for the sampled loop knows its sample period, which limits its speed"),
-    ("anti_windup", f"gain steps lqr preview {_GOALS}", "a static gain has no states that wind up"),
+    ("fastest_pole", "sampled", "in a design for the sampled loop, the sample period already limits the speed"),
+    ("anti_windup", f"gain steps lqr preview {_GOALS}", "a static gain has no states that can wind up"),
     ("noise", "lqr preview", _OF_STATE),
-    ("noise", "lqg", "it takes the noise of its sensors by itself"),
+    ("noise", "lqg", "this design always uses the noise of its sensors"),
     ("lag", "lqr preview", _OF_STATE),
-    ("sampled", "gain states", "a law that is given is not designed"),
-    ("sampled", "lqr lqg h2 preview", "what is designed for the sampled loop has the least norm, not the least mean square"),
-    ("sampled", f"loads {_GOALS}", "what is designed for the sampled loop has the least norm, of road and noise alone"),
+    ("sampled", "gain states", "a given law is not designed"),
+    ("sampled", "lqr lqg h2 preview", "a design for the sampled loop minimises the norm, not the mean square"),
+    ("sampled", f"loads {_GOALS}", "a design for the sampled loop minimises the norm from road and noise alone"),
     (
         "study",
         f"{_STUDIED} {_GOALS} weights refine front",
-        "only a law that is given measures heights, which no sensor on a car has",
+        "only a given law may measure heights, because no sensor on a car measures them",
     ),
-    ("loads", "lqr lqg h2 preview", "the mean square is of the road alone"),
-    ("loads", _GOALS, "goals are of the road alone"),
-    *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
-    ("force", "pid", "it answers one measured signal for each force"),
-    ("force", "steps", "a force does not show the state, so no gain is designed for it"),
+    ("loads", "lqr lqg h2 preview", "this design minimises the mean square of the response to the road alone"),
+    ("loads", _GOALS, "goals describe the response to the road alone"),
+    *((goals, f"states {_DESIGNED}", "goals are available only for static gains in continuous time") for goals in _GOALS.split()),
+    ("force", "pid", "each force of this law uses one measured signal"),
+    ("force", "steps", "a measured force contains no information about the state"),
     ("force", "lqr preview", _OF_STATE),
-    ("force", "semi_active", "it measures what it needs"),
-    ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
-    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "only the two steps have an L"),
-    ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
-    ("front", "tolerance weights family", "a front is of one vehicle without errors"),
+    ("force", "semi_active", "a semi-active law selects its own measured signals"),
+    ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "only static gains of the smallest norm can be refined"),
+    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "only the two-step design has a matrix L"),
+    ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front consists of designed static gains"),
+    ("front", "tolerance weights family", "a front describes one vehicle without uncertainties"),
     (
         "rates",
         f"gain states {_DESIGNED} stable anti_windup noise",
-        "only gains of the two steps are designed again for a rate",
+        "only two-step gains can be designed again for a sample rate",
     ),
     *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one not in ("force", "study")),
 )
 REFUSED = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
-ONE_KIND = "a controller has one law, or one way to design it"
+ONE_KIND = "a controller has either one given law or one design method"
 
 
 def refusal(one: str, other: str) -> str:
@@ -141,7 +141,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     if filtered:
         parts["pid"] = f'structure = "{structure}"'
     if not parts and not any(key in section for key in GOAL_KEYS):
-        parts["steps"] = "no law, order or design"
+        parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
     of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain
     if goals := [key for key in GOAL_KEYS if key in section and not (of_law and key == "structure")]:
@@ -166,7 +166,7 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
             choice = " or ".join(_with_partners(part, beside, parts[part]) for part, beside in ((one, other), (other, one)))
-            raise InputError(f"{where} {parts[one]} with {parts[other]}: {why}; choose {choice}")
+            raise InputError(f"{where} {parts[one]} cannot be combined with {parts[other]}: {why}; choose {choice}")
 
 
 def check_command(where: str, parts: Mapping[str, str], command: str, error: type[InputError] = InputError) -> None:
@@ -181,7 +181,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
     option = COMMANDS[command].strip("`")
     for part, written in parts.items():
         if why := refusal(command, part):
-            raise error(f"{where}: {written} with {option}: {why}; omit {option}, or give a controller without {written}")
+            raise error(f"{where}: {written} cannot be combined with {option}: {why}; omit {option} or {written}")
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
@@ -190,4 +190,4 @@ def _with_partners(part: str, beside: str, written: str) -> str:
         return written
     names = KINDS if beside in KINDS else DEMANDS
     partners = [name.replace("`", "") for one, name in names.items() if one != part and not refusal(part, one)]
-    return f"{written} (goes with {', '.join(partners)})" if partners else written
+    return f"{written} (works with {', '.join(partners)})" if partners else written

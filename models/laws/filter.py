@@ -168,19 +168,19 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
     name, there = given.get("filter"), [key for key in POLYNOMIALS if key in given]
     if "filter" in given:
         if there:
-            raise InputError(f"{where} has a filter by name and a {there[0]}; give one of them")
+            raise InputError(f"{where} has both filter and {there[0]}; give only one of them")
         if not isinstance(name, str) or name not in WEIGHTINGS:
-            raise InputError(f"{where} filter = {quoted(name)} is unknown; give a numerator and a denominator, or {_known()}")
+            raise InputError(f"{where} filter = {quoted(name)} is unknown; give {_known()}, or a numerator and a denominator")
         return Filter(WEIGHTINGS[name], name)
     if len(there) < len(POLYNOMIALS):
         raise InputError(
-            f"{where} is not a filter; give numerator = [...] and denominator = [...], coefficients in descending powers of s, "
-            f"or filter = {_known()}"
+            f"{where} is not a filter; give the coefficients in descending powers of s as numerator = [...] and "
+            f"denominator = [...], or give filter = {_known()}"
         )
     for key in POLYNOMIALS:
         if not isinstance(given[key], list):
             raise InputError(
-                f"{where} {key} = {quoted(given[key])} is not a list; give its coefficients in descending powers of s"
+                f"{where} {key} = {quoted(given[key])} is not a list; list its coefficients in descending powers of s"
             )
     with error_in(f"{where}:"):
         return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
@@ -194,14 +194,12 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
     """Returns the coefficients without leading zeros."""
     for one in given:
         if not is_finite(one) or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
-            raise InputError(
-                f"{what} has the coefficient {quoted(one)}; give 0 or numbers from {SMALLEST:g} to {LARGEST:g} in size"
-            )
+            raise InputError(f"{what} has the coefficient {quoted(one)}; give 0 or a magnitude from {SMALLEST:g} to {LARGEST:g}")
     coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
     if not coefficients:
-        raise InputError(f"{what} is zero; give its coefficients in descending powers of s")
+        raise InputError(f"{what} is 0; give its coefficients in descending powers of s")
     if len(coefficients) > MOST + 1:
-        raise InputError(f"{what} is of degree {len(coefficients) - 1}; at most {MOST}: split the filter, or reduce its order")
+        raise InputError(f"{what} has degree {len(coefficients) - 1}, at most {MOST} is allowed; split or reduce the filter")
     return coefficients
 
 
@@ -213,26 +211,26 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
     """
     if len(above) > len(below):
         raise InputError(
-            f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: its gain grows without "
-            "limit at high frequencies; give a denominator of no lower degree"
+            f"the numerator has degree {len(above) - 1}, but the denominator only {len(below) - 1}, so the gain grows without "
+            "limit at high frequencies; give a denominator of at least the same degree"
         )
     if integrates and not below[-1] and len(below) > 1:
         if not above[-1]:
-            raise InputError("its pole at 0 is cancelled by a zero; divide numerator and denominator by s")
+            raise InputError("the pole at 0 is cancelled by a zero at 0; divide numerator and denominator by s")
         below = below[:-1]
         if not below[-1]:
-            raise InputError("its denominator has two roots at 0, a double integral; give one")
+            raise InputError("the denominator has two roots at 0, a double integral; give at most one root at 0")
     if not _decays(below):
-        advice = "; of poles on it a weight may have one at 0 rad/s, an integral" if integrates else ""
-        raise InputError(f"its denominator has a root that is not left of the imaginary axis: the filter is not stable{advice}")
+        advice = "; a weight may have one pole at 0, an integral" if integrates else ""
+        raise InputError(f"the filter is unstable: a root of its denominator is not left of the imaginary axis{advice}")
     poles = np.abs(np.roots(below))
     beyond = [pole for pole in poles if not SLOWEST <= pole <= FASTEST]
     if beyond:
-        raise InputError(f"it has a pole of {beyond[0]:.4g} rad/s; give poles of {SLOWEST:g} to {FASTEST:g} rad/s")
+        raise InputError(f"the filter has a pole at {beyond[0]:.4g} rad/s; give poles from {SLOWEST:g} to {FASTEST:g} rad/s")
     around = np.geomspace(poles.min(initial=1.0) / 10, poles.max(initial=1.0) * 10, 200)
     largest = np.abs(np.polyval(above, 1j * around) / np.polyval(below, 1j * around)).max()
     if not LEAST <= largest <= MOST_GAIN:
-        raise InputError(f"its gain is {largest:.3g} where it is largest; give one from {LEAST:g} to {MOST_GAIN:g}")
+        raise InputError(f"the largest gain of the filter is {largest:.3g}; give a largest gain from {LEAST:g} to {MOST_GAIN:g}")
 
 
 def _decays(polynomial: Sequence[float]) -> bool:

@@ -197,8 +197,8 @@ LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
 BOUND_KINDS = {  # further keys of a bound, and an example
     "norm": (("signals", "band"), "{ norm = 8.6 }"),
     "peak": (("road", "speed", "at_most"), "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"),
-    "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, m2/s"),
-    "decay": ((), "{ decay = 1.2 }, rad/s"),
+    "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 } (m2/s)"),
+    "decay": ((), "{ decay = 1.2 } (rad/s)"),
     "gain": ((), "{ gain = 2e4 }"),
 }
 
@@ -228,7 +228,7 @@ def read_goals(
     family = _family(where, entry.get("family"), parameters)
     if over == REGRET and not family:
         raise InputError(
-            f'{where} minimise has over = "regret", which needs a family; give one, family = [{{ ... }}, ...], or omit it'
+            f'{where} minimise has over = "regret", which needs a family; add family = [{{ ... }}, ...], or omit over'
         )
     return Goals(
         minimise,
@@ -241,13 +241,13 @@ def read_goals(
 
 
 def _minimise(where: str, value: Any, outputs: Collection[str]) -> tuple[NormOf, str]:
-    table_within(f"{where} minimise", value, "one, as in minimise = { band = [4.0, 8.0] }, Hz")
+    table_within(f"{where} minimise", value, "a table, as in minimise = { band = [4.0, 8.0] } with frequencies in Hz")
     check_keys(f"{where} minimise", value, ("signals", "band", "over"))
     over = value.get("over", WORST)
     if over not in (WORST, REGRET):
         raise InputError(
-            f'{where} minimise has over = {quoted(over)}; give "{WORST}", the largest norm of the family, or "{REGRET}", the '
-            "largest ratio to what each vehicle has at its own best"
+            f'{where} minimise has over = {quoted(over)}; give "{WORST}" for the largest norm in the family, or "{REGRET}" for '
+            "the largest ratio of a vehicle's norm to its own smallest norm"
         )
     return _norm(f"{where} minimise", value, outputs), over
 
@@ -259,28 +259,28 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         signals = [signals]
     if isinstance(signals, list):
         if len(signals) != len({*map(repr, signals)}):
-            raise InputError(f"{where} contains a signal twice; give it once")
+            raise InputError(f"{where} contains a signal twice; list each signal once")
         signals = {name if isinstance(name, str) else quoted(name): 1.0 for name in signals}
     if isinstance(signals, dict):
         for name, weight in signals.items():
             if name not in outputs:
-                raise InputError(f"{where} unknown signal {quoted(name)}; this vehicle has {listing(outputs)}")
+                raise InputError(f"{where} has the unknown signal {quoted(name)}; the signals are {listing(outputs)}")
             number_within(f"{where} the weight of {name}", weight, SMALLEST, LARGEST)
         weights = {name: float(weight) for name, weight in signals.items()}
     elif signals != PERFORMANCE:
         weights = {}
     if weights is not None and not weights:
         raise InputError(
-            f'{where} signals = {quoted(value["signals"])} is not allowed; give "performance", or signals with their weights, '
-            "as in { sprung_acceleration = 1.0 }"
+            f'{where} signals = {quoted(value["signals"])} is not allowed; give "performance", or a table of signals and '
+            "weights, as in { sprung_acceleration = 1.0 }"
         )
     if band is None:
         return NormOf(weights)
     fits = isinstance(band, list) and len(band) == 2 and all(is_finite(end) for end in band)
     if not fits or not 0 <= band[0] < band[1] <= HIGHEST:
         raise InputError(
-            f"{where} band = {quoted(band)} is not allowed; give two frequencies [Hz], from and to, of at most {HIGHEST:g}, as "
-            "in [4.0, 8.0]; omit band for all frequencies"
+            f"{where} band = {quoted(band)} is not allowed; give the lowest and highest frequency, up to {HIGHEST:g} Hz, as "
+            "in band = [4.0, 8.0], or omit band for all frequencies"
         )
     ends = (float(band[0]), float(band[1]))
     return NormOf(weights, ends if ends != EVERYWHERE else EVERYWHERE)
@@ -308,9 +308,9 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
         return GainBound(number_within(f"{where} gain", value["gain"], SMALLEST, LARGEST))
     signal, road = value[kind], value.get("road", "bump")
     if signal not in outputs:
-        raise InputError(f"{where} unknown signal {quoted(signal)}; this vehicle has {listing(outputs)}")
+        raise InputError(f"{where} has the unknown signal {quoted(signal)}; the signals are {listing(outputs)}")
     if "at_most" not in value:
-        raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} that is allowed, in its SI unit")
+        raise InputError(f"{where} has no at_most; give the largest allowed magnitude of {signal} in SI units as at_most")
     at_most = number_within(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
     if kind == "energy_peak":
         return EnergyBound(signal, number_within(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
@@ -321,16 +321,16 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
 
 
 def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence[str]) -> dict[str, float]:
-    give = f"how far each sensor may be off, relative, as in tolerance = {{ {measured[0]} = 0.1 }}"
+    give = f"the largest relative error of each sensor, as in tolerance = {{ {measured[0]} = 0.1 }} for 10 %"
     table_within(f"{where} tolerance", value, give)
     allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
     for name, share in value.items():
         if name not in allowed:
-            raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
-        more = ", relative: 0.1 is 10 %, or a table, { weight = ... }, for one that grows with frequency"
+            raise InputError(f"{where} tolerance: unknown key {quoted(name)}; give {listing(allowed)} ({FORCE} is all forces)")
+        more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
         number_within(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
     if FORCE in value and any(force in value for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance names both {FORCE}, which is all forces, and a single force; give one or the other")
+        raise InputError(f"{where} tolerance has both {FORCE}, which means all forces, and a single force; give one of the two")
     return {name: float(share) for name, share in value.items()}
 
 
@@ -339,13 +339,13 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
         return ()
     if not isinstance(value, list) or not value or not all(isinstance(member, dict) for member in value):
         raise InputError(
-            f"{where} family = {quoted(value)} is not a list of vehicles; give factors on parameters, as in "
+            f"{where} family = {quoted(value)} is not a list of vehicles; give each vehicle's factors on parameters, as in "
             "family = [{}, { sprung_mass = 1.4 }]"
         )
     for i, member in enumerate(value):
         for name, factor in member.items():
             if name not in parameters:
-                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; this vehicle has {listing(parameters)}")
+                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; the parameters are {listing(parameters)}")
             number_within(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
     return tuple({name: float(factor) for name, factor in member.items()} for member in value)
 
@@ -369,21 +369,21 @@ def read_structure(
         for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
             if not any(used):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", but {signal!r} belongs to no corner; measure signals that end as the '
-                    f"forces do, {listing(corners)}, or give structure as rows of 0 and 1, one row for each force"
+                    f'{where} structure = "{CORNER}", but {signal!r} belongs to no corner; measure signals with the endings of '
+                    f"the forces {listing(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
                 )
         for force, row in zip(corners, rows, strict=True):
             if not any(row):
                 raise InputError(
-                    f'{where} structure = "{CORNER}", but no measurement is from the corner of {force!r}; measure one'
+                    f'{where} structure = "{CORNER}", but no measured signal is from the corner of {force!r}; add one'
                 )
         return rows
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
     if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
-            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or {len(corners)} row(s), one for each force, '
-            f"of {len(measured)} numbers 0 or 1, one for each measured signal"
+            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or a list of {len(corners)} row(s), one for '
+            f"each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
         )
     if not any(any(row) for row in value):
-        raise InputError(f"{where} structure leaves no entry of the gain; give a 1 where a signal may act on a force")
+        raise InputError(f"{where} structure has only zeros, so the gain is 0; give a 1 where a signal may act on a force")
     return tuple(tuple(bool(entry) for entry in row) for row in value)

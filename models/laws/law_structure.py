@@ -24,7 +24,7 @@ from models.laws.goals import CORNER, read_structure
 from models.laws.linear import LARGEST, MATRICES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
-ITS_GAINS = "its gains: "  # begins the remark on a PI or PID law that is designed
+ITS_GAINS = "designed gains: "  # begins the remark on a PI or PID law that is designed
 SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
@@ -102,20 +102,20 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     Raises:
         InputError: a number is missing or not allowed, or there is not one signal for each force.
     """
-    table = table_within(f"{where} pid", entry["pid"], f"one, as in {EXAMPLE}")
+    table = table_within(f"{where} pid", entry["pid"], f"a table, as in {EXAMPLE}")
     if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
-        raise InputError(f"{where} pid with {beside[0]}: a controller has only one law; omit one of them")
+        raise InputError(f"{where} has both pid and {beside[0]}, but a controller has only one law; omit one of them")
     rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
     check_keys(f"{where} pid", table, (*GAINS, FILTER))
     m = len(corners)
     kp, ki, kd = (_gains(f"{where} pid.{name}", table.get(name, 0.0), m) for name in GAINS)
     if np.any(kd) and FILTER not in table:
         raise InputError(
-            f"{where} pid has kd and no filter: a derivative without one answers a step with an infinite force; give its time "
-            "constant in seconds, as in filter = 0.01"
+            f"{where} pid has kd but no filter, so a step would cause an infinite force; give the time constant of the "
+            "derivative's filter in seconds, as in filter = 0.01"
         )
     if FILTER in table and not np.any(kd):
-        raise InputError(f"{where} pid has a filter, which acts on the derivative alone, and no kd; give kd, or omit filter")
+        raise InputError(f"{where} pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
     filter = number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s") if FILTER in table else 1.0
     law = side_by_side(pid_filter(PID, filter), m)
     K = _block(kp, ki, kd)
@@ -175,7 +175,7 @@ def _one_each(where: str, written: str, measured: Sequence[str], corners: Mappin
         return tuple(tuple(i == j for j in range(q)) for i in range(m))
     if q != m:
         raise InputError(
-            f"{where} {written} answers one measured signal for each force, and measures {q} for {m} force(s); give measured = "
+            f"{where} {written} needs one measured signal for each force, but measured has {q} signal(s) for {m} force(s); give "
             f"{m} signal(s)"
         )
     return read_structure(where, CORNER, measured, corners) or ()
@@ -183,21 +183,21 @@ def _one_each(where: str, written: str, measured: Sequence[str], corners: Mappin
 
 def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
     """Returns the time constant of the derivative of a law that is designed [s]; 0 for PI."""
-    table = table_within(f"{where} pid", entry.get("pid", {}), "one, as in pid = { filter = 0.01 }")
+    table = table_within(f"{where} pid", entry.get("pid", {}), "a table, as in pid = { filter = 0.01 }")
     if given := [name for name in GAINS if name in table]:
         raise InputError(
-            f'{where} structure = "{kind}" designs the gains, but pid already gives {given[0]}; omit structure to use given '
-            "numbers, or give pid its filter alone"
+            f'{where} structure = "{kind}" designs the gains, but pid already gives {given[0]}; omit structure to use the '
+            "given gains, or give only filter in pid"
         )
     check_keys(f"{where} pid", table, (FILTER,))
     if kind == PI:
         if table:
-            raise InputError(f'{where} structure = "{PI}" has no derivative, and pid gives its filter; omit pid')
+            raise InputError(f'{where} structure = "{PI}" has no derivative, but pid gives a filter for it; omit pid')
         return 0.0
     if FILTER not in table:
         raise InputError(
-            f'{where} structure = "{PID}" needs the time constant of the derivative\'s low-pass; give it in seconds, as in '
-            "pid = { filter = 0.01 }"
+            f'{where} structure = "{PID}" needs the time constant of the derivative\'s low-pass filter; give it in seconds, as '
+            "in pid = { filter = 0.01 }"
         )
     return number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s")
 
@@ -206,5 +206,5 @@ def _gains(what: str, value: Any, m: int) -> Array:
     """Returns a gain for each force: one number for all, or a list."""
     several = value if isinstance(value, list) else [value] * m
     if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number, or a list of {m}, one a force")
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number, or a list of {m} number(s), one per force")
     return np.array(several, dtype=float)

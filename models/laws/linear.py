@@ -52,13 +52,13 @@ class LinearLaw:
             object.__setattr__(self, name, matrix)
         k, (m, q) = len(self.A), self.D.shape
         if k > MOST_STATES:
-            raise InputError(f"a controller of {k} states is too large; at most {MOST_STATES}: reduce its order")
+            raise InputError(f"a controller with {k} states is too large; reduce its order to at most {MOST_STATES}")
         for name, shape in {"A": (k, k), "B": (k, q), "C": (m, k)}.items():
             given = getattr(self, name).shape
             if given != shape:
                 raise InputError(
-                    f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D, of shape {(m, q)}, a row per force "
-                    "and a column per measured signal"
+                    f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D has shape {(m, q)}: one row for "
+                    "each force and one column for each measured signal"
                 )
         for name in ("sample_period", "anti_windup"):
             object.__setattr__(self, name, check(name, getattr(self, name), Positive | None))
@@ -148,8 +148,8 @@ class LinearLaw:
         sizes = np.linalg.svd(loop, compute_uv=False)
         if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
             raise InputError(
-                "its force changes its own measurements instantly, and I - D_c D is singular, so no force solves that loop; "
-                "change the gain on the accelerations, or filter them"
+                "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop has no "
+                "solution; change the gain on the accelerations, or filter the accelerations"
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
         B = self.B @ through
@@ -167,7 +167,7 @@ class LinearLaw:
             return replace(self, sample_period=None)
         root, shifted = np.sqrt(self.sample_period), self.A + np.eye(self.states)
         if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
-            raise InputError("a discrete controller with a pole at z = -1 has no continuous counterpart; move that pole")
+            raise InputError("a discrete controller with a pole at z = -1 has no continuous counterpart; move this pole")
         inverse = np.linalg.inv(shifted)
         try:
             return LinearLaw(
@@ -179,7 +179,7 @@ class LinearLaw:
             )
         except InputError as error:
             raise InputError(
-                f"of its continuous counterpart (Tustin), {error}; scale its states, so that B and C are of one size"
+                f"in its continuous counterpart (Tustin), {error}; scale the states so that B and C have similar sizes"
             ) from error
 
     @property
@@ -188,8 +188,8 @@ class LinearLaw:
         if not self.states:
             return f"gain {gain_text(self.D)}"
         if self.sample_period is None:
-            return f"x_c' = A x_c + B y, u = C x_c + D y, of {states_text(self)}"
-        return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {states_text(self)}"
+            return f"x_c' = A x_c + B y, u = C x_c + D y, with {states_text(self)}"
+        return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], with {states_text(self)}"
 
     def sampled(self, period: float) -> "LinearLaw":
         """Returns the law as a computer runs it, at a sample period.
@@ -210,8 +210,8 @@ class LinearLaw:
         law = self.continuous()
         if law.growth * period > np.log(LARGEST):
             raise InputError(
-                f"a pole of its law at +{law.growth:.4g} 1/s is too fast for a sample every {period:g} s; measure control_force "
-                "with accelerations, or sample faster"
+                f"an unstable pole of its law, at +{law.growth:.4g} 1/s, is too fast for a sample period of {period:g} s; give "
+                "a shorter sample period, or measure control_force together with accelerations"
             )
         k, q = law.B.shape
         augmented = np.zeros((k + 2 * q, k + 2 * q))

@@ -52,10 +52,10 @@ class RoadPreview:
             object.__setattr__(self, name, matrix)
         k, r = self.B.shape
         if not 0 < k <= MOST_STATES:
-            raise InputError(f"a preview of {k} states is not allowed; give 1 to {MOST_STATES}")
+            raise InputError(f"a preview law with {k} states is not allowed; give 1 to {MOST_STATES} states")
         for name, shape in {"A": (k, k), "H": (k, r), "C": (len(self.C), k)}.items():
             if getattr(self, name).shape != shape:
-                raise InputError(f"{name} of a preview has shape {getattr(self, name).shape}; expected {shape}")
+                raise InputError(f"{name} of a preview law has shape {getattr(self, name).shape}; expected {shape}")
         object.__setattr__(self, "seconds", checked_preview("a", self.seconds))
 
     @property
@@ -154,4 +154,4 @@ def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
     try:
         return RoadPreview(*(found[name] for name in ("seconds", *PREVIEW_MATRICES)))
     except KeyError as error:
-        raise InputError(f"its preview has no {error}") from error
+        raise InputError(f"its preview record has no key {error}") from error

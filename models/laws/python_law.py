@@ -21,7 +21,7 @@ from models.laws.law import ControlLaw
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
-GIVE = 'give a file next to the vehicle file and a function in it, as in law = "my_law.py:step"'
+GIVE = 'give a file next to the vehicle file and a function in this file, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
 TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
 NAMES = ("inputs", "outputs")  # of an FMU
@@ -90,7 +90,7 @@ class PythonLaw:
         """
         path = self.path
         if path is None:
-            raise InputError(f"law {self.law}: the vehicle file was read from text, so the law's code is not available")
+            raise InputError(f"law {self.law}: its code is not available, as the vehicle is read from text; read it from a file")
         if self.is_fmu:
             content = read_bytes(path, "FMU", GIVE_FMU)
             digest, names = hashlib.sha256(content).hexdigest(), {**self.inputs, **self.outputs}
@@ -152,7 +152,7 @@ class Programmed(ControlLaw):
     def text(self) -> str:
         """The law on one line."""
         preview = self.law.preview
-        ahead = "" if preview is None else f", told the road {preview:g} s ahead"
+        ahead = "" if preview is None else f", with {preview:g} s of road preview"
         known = f"; SHA-256 of its {'source' if self.function else 'file'} {self.sha256[:16]}..." if self.source else ""
         return f"{self.law.kind} {self.law.law}{ahead}{known}"
 
@@ -181,7 +181,7 @@ def of_function(function: Any, measurable: Sequence[str]) -> Programmed:
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
         if signal not in measurable:
-            raise InputError(f"{name}.measured: unknown signal {quoted(signal)}; it can measure {alike(signal, measurable)}")
+            raise InputError(f"{name}.measured: unknown signal {quoted(signal)}; measurable are {alike(signal, measurable)}")
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):  # typed at a prompt, or an object
@@ -201,7 +201,7 @@ def _names(where: str, key: str, given: Any) -> dict[str, str]:
     if not isinstance(given, Mapping) or not all(isinstance(signal, str) for signal in given.values()):
         example = "suspension_deflection" if key == "inputs" else "control_force"
         raise InputError(
-            f'{where} {key} = {quoted(given)} is not allowed; give the signal of each, as in {{ In1 = "{example}" }}'
+            f'{where} {key} = {quoted(given)} is not allowed; give a signal for each variable, as in {{ In1 = "{example}" }}'
         )
     return {str(name): str(signal) for name, signal in given.items()}
 
@@ -220,18 +220,18 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
             raise InputError(
-                f"{where} has an fmu and {listing(beside)}; an FMU is a complete law and has no preview; omit one of them"
+                f"{where} has both fmu and {listing(beside)}, but an FMU is a complete law without preview; omit one of them"
             )
         return PythonLaw(fmu, None, folder, *(_names(where, key, entry.get(key, {})) for key in NAMES))
     if named := [key for key in NAMES if key in entry]:
-        raise InputError(f"{where} {named[0]} name variables of an FMU; give the FMU with fmu, or omit them")
+        raise InputError(f"{where} {named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
     if "law" not in entry:
         from models.laws.combinations import PREVIEW  # loads SciPy, which a child process that runs a law does not need
 
         if "preview" in entry and entry.get("design") != PREVIEW:
             raise InputError(
-                f'{where} preview is the road ahead that a law in Python receives; {GIVE}, or design = "{PREVIEW}", or '
-                "take it out"
+                f'{where} preview needs a law in Python or design = "{PREVIEW}", which receive the road ahead; omit preview, '
+                f"or {GIVE}"
             )
         return None
     law = entry["law"]
@@ -250,7 +250,7 @@ def checked_preview(where: str, preview: Any) -> float:
     """
     real = isinstance(preview, (int, float)) and not isinstance(preview, bool)
     if not real or not 0 <= preview <= FURTHEST:
-        raise InputError(f"{where} preview = {quoted(preview)} is not allowed; give seconds from 0 to {FURTHEST:g}")
+        raise InputError(f"{where} preview = {quoted(preview)} is not allowed; give a number from 0 to {FURTHEST:g} s")
     return float(preview)
 
 

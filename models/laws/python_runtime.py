@@ -33,7 +33,7 @@ from models.laws.user_code import compiled, reason
 LONGEST = 10.0  # s, limit of the calls of a sample; a typical law takes microseconds
 SLOWEST = 100.0  # limit of all calls of a run, relative to its simulated time; `LONGEST` is added to it
 LONGEST_START = 60.0  # s, limit of executing the file: it may import large packages
-SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
+SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time"
 
 
 class Sample:
@@ -66,7 +66,7 @@ class Sample:
 
     def __getitem__(self, signal: str) -> Any:
         if signal not in self._index:
-            raise InputError(f"it measures no {quoted(signal)}, but {', '.join(self._index)}")
+            raise InputError(f"it does not measure {quoted(signal)}; its measured signals are {', '.join(self._index)}")
         return self.y[..., self._index[signal]]
 
 
@@ -96,12 +96,12 @@ class OwnLaw:
             step = vars(module).get(law.function)
         if not callable(step):
             raise InputError(
-                f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
+                f"{self._what}: the file has no function {law.function!r}; define it as def {law.function}(sample, state)"
             )
         self._step: Callable[..., Any] = step
         self._timed, name, self.vectorised = _timed(step), f"{law.function}.vectorised", getattr(step, "vectorised", False)
         if not isinstance(self.vectorised, (bool, np.bool_)):
-            raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or omit it")
+            raise InputError(f"{self._what}: {name} is neither True nor False; set {name} = True, or omit it")
         if controller.function is not None:
             self._what = f"controller {controller.name!r}"
             self._name += "(t, y)" if self._timed else "(sample, state)"
@@ -120,19 +120,19 @@ class OwnLaw:
         """Calls the law once and checks its result, whose methods may be user code as well."""
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
-            raise InputError(f"it returns {_short(given)}, not two values; end it with: return force, state")
+            raise InputError(f"it returns {_short(given)}, not two values; end the function with: return force, state")
         force, self._state = given
         check_unmasked("its force", force)
         forces = np.asarray(force)
         if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
-            raise InputError(f"its force is {_short(force)}, which is not a real number; give newtons")
+            raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N")
         try:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"its force is {_short(force)}, which is not a real number; give newtons") from None
+            raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N") from None
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # one actuator: a number is enough
         if forces.shape != shape and not scalar:
-            raise InputError(f"its force has shape {forces.shape}; expected {shape}, a number per actuator")
+            raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
             raise InputError("its force is not finite")
         return forces.reshape(shape)

@@ -262,27 +262,27 @@ def read_semi_active(
     others = [key for key in entry if key in KEYS[1:]]
     if "semi_active" not in entry:
         if others:
-            raise InputError(f'{where} {others[0]} is for semi-active laws; give one, as in semi_active = "skyhook"')
+            raise InputError(f'{where} {others[0]} needs a semi-active law; give it, as in semi_active = "skyhook"')
         return None
     if not isinstance(name, str) or name not in LAWS:
-        raise InputError(f"{where} semi_active = {quoted(name)} is not known; known: {listing(LAWS)}")
+        raise InputError(f"{where} semi_active = {quoted(name)} is unknown; give one of {listing(LAWS)}")
     law, _, keys = LAWS[name]
     for key in entry:
         if key != "semi_active" and key not in keys:
-            known = f"beside its name it has {listing(keys)}" if keys else "it has nothing beside its name"
-            raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r}; {known}; it selects its own signals")
+            known = f"its keys are {listing(keys)}" if keys else "this law has no keys"
+            raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r} ({known}); omit {key}")
     if absent := [force for force in inputs if force not in endings]:
         raise InputError(
-            f"{where} semi_active = {quoted(name)} sets semi-active dampers, but {absent[0]} has none; give "
+            f"{where} semi_active = {quoted(name)} needs semi-active dampers, but {absent[0]} has none; give "
             '[actuators] kind = "damper", c_min and c_max'
         )
     numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)
     modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
     if law is skyhook_modal and not modes:
-        raise InputError(f'{where} semi_active = {quoted(name)} is for a body that pitches or rolls; give "skyhook_linear"')
+        raise InputError(f'{where} semi_active = {quoted(name)} needs a body that pitches or rolls; give "skyhook_linear"')
     for key, mode in MODAL.items():
         if key in entry and mode not in modes:
-            raise InputError(f"{where} {key}: this vehicle has no {mode}; omit it")
+            raise InputError(f"{where} {key} has no effect, because this vehicle has no {mode}; omit {key}")
     read = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
     if lacking := [signal for signal in read.measured if signal not in outputs]:
         raise InputError(f"{where} semi_active = {quoted(name)} measures {lacking[0]!r}, which this vehicle type does not have")

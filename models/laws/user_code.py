@@ -25,7 +25,7 @@ def compiled(what: str, path: Path, text: str) -> CodeType:
         return compile(text, str(path), "exec")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # a NUL; too many nested brackets
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"{what}: is not Python ({getattr(error, 'msg', error)}{where}); correct it") from error
+        raise InputError(f"{what}: its code is not valid Python ({getattr(error, 'msg', error)}{where}); correct it") from error
 
 
 def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:

@@ -28,11 +28,11 @@ RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # s
 TABLE = ("distance_unit", "height_unit", "unit", "separator", "columns", "step")  # of a file with a table
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
 READ = (
-    "a .csv, .txt, .xlsx or .mat file has columns of distance and height, a .erd file is ERD, a .rdf file has a poly_line, a "
-    ".crg file is OpenCRG"
+    "readable are .csv, .txt, .xlsx and .mat files with columns of distance and height, .erd files, .rdf files with a poly_line "
+    "and .crg files (OpenCRG)"
 )
 Measured = TypeVar("Measured", Profile, Surface)
-RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
+RPC = "; RPC III files (.rsp, .drv) cannot be read, so export their channels as text"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
         return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
-        with error_in(f"road {text!r}: an OpenCRG file contains its own units and interpolation;"):
+        with error_in(f"road {text!r}: an OpenCRG file contains its own units and interpolation, and"):
             given = settings(file["settings"], DRIVEN[:1])
         return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:
@@ -172,19 +172,17 @@ def _unread(text: str, folder: Path) -> str:
     if not path.exists():
         return ""
     if path.is_dir():
-        return f"road {text!r} is a folder; give a file in it: {READ}"
-    what = f"files {quoted(path.suffix)} are not read" if path.suffix else "its name has no ending"
+        return f"road {text!r} is a folder ({READ}); give a file in this folder"
+    what = f"{quoted(path.suffix)} files cannot be read" if path.suffix else "its name has no ending"
     rpc = RPC if path.suffix.lower() in (".rsp", ".drv") else ""
-    return f"road {text!r}: the file exists, but {what}; {READ}; rename or convert it{rpc}"
+    return f"road {text!r}: the file exists, but {what} ({READ}); rename or convert the file{rpc}"
 
 
 def _rig(text: str, folder: Path) -> RoadChoice:
     """Returns the posts of a rig from a drive file."""
     file = RIG.fullmatch(text)
     if file is None:
-        raise InputError(
-            f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}"
-        )
+        raise InputError(f"road {text!r}: a rig needs a drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}")
     from models.roads.rig_file import UNITS, read_rig
 
     try:
@@ -206,7 +204,7 @@ def _random_values(text: str, values: Mapping[str, Any]) -> dict[str, Any]:
     if "band" in values:
         low, dots, high = values["band"].partition("..")
         if not dots:
-            raise InputError(f"road {text!r}: band = {values['band']!r} is not allowed; give two ends, as in band=0.011..2.83")
+            raise InputError(f"road {text!r}: band = {values['band']!r} is not allowed; give both ends, as in band=0.011..2.83")
         ends = zip(("lowest", "highest"), (low, high), strict=True)
         others |= {name: setting(f"road {text!r}: band", end, UNITS["band"]) for name, end in ends}
     return others

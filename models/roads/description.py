@@ -37,28 +37,28 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
         return RoadWithLoads(road, described_loads(loads.split(PLUS)))
     kind = description.get("type")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"a road of unknown type; known: {listing(KINDS)}")
+        raise InputError(f"the road has type = {quoted(kind)}, which is unknown; known types are {listing(KINDS)}")
     if kind in ("profile", "rig"):
         if points is None:
-            raise InputError(f"the points of a {kind} are missing")
+            raise InputError(f"the points of the road ({kind}) are missing")
         source = str(description.get("source", ""))
         if kind == "rig":
             return rig_from_csv(points, source)
         if "join" not in description:
-            raise InputError("its points were joined by an older version, from another start; drive over the road again")
+            raise InputError("an older version recorded this road, and joined its points differently; drive over the road again")
         return from_csv(points, _read(description, "speed"), source, str(description["join"]))
     if kind == "iso8608":
         return _random(description)
     if kind in MULTISINES:
         omega, amplitudes, phases = (_read(description, name, tuple[float, ...]) for name in ("omega", "amplitudes", "phases"))
         if not len(omega) == len(amplitudes) == len(phases):
-            raise InputError(f"road {kind}: omega, amplitudes and phases are not equally many")
+            raise InputError(f"road {kind}: omega, amplitudes and phases have different lengths; give lists of equal length")
         return Multisine(omega, amplitudes, phases, _read(description, "speed"), kind)
 
     allowed = {field.name: field.default for field in fields(OBSTACLES[kind])}
     for name in description:
         if name not in (*allowed, "type", "factor"):
-            raise InputError(f"road {kind}: it has no {quoted(name)}; known: {listing(allowed)}")
+            raise InputError(f"road {kind}: unknown key {quoted(name)}; known keys: {listing(allowed)}")
     given = [name for name in allowed if name in description or name != "start"]  # of a step that begins at once it is not said
     values = {name: _read(description, name, str if name == "track" else float) for name in given}
     road = OBSTACLES[kind](**values)
@@ -70,7 +70,7 @@ def _random(description: Mapping[str, Any]) -> Iso8608:
     iri = _read(description, "iri") if "iri" in description else None
     gd = _read(description, "gd") if "gd" in description else None
     if not isinstance(road_class, str) or (not road_class and iri is None and gd is None):
-        raise InputError("road iso8608: its class is missing, or its iri or gd")
+        raise InputError("road iso8608: class, iri or gd is missing; give one of them")
     factor = _read({"factor": 1.0, **description}, "factor")
     speed, width, length = (_read(description, name) for name in ("speed", "track_width", "length"))
     waviness = _read({"waviness": 2.0, **description}, "waviness")
@@ -78,7 +78,7 @@ def _random(description: Mapping[str, Any]) -> Iso8608:
     road = Iso8608(road_class, seed, speed, width, length, factor, iri, gd, waviness, *band)
     for name, value in {"roughness": road.roughness * factor**2}.items():
         if not math.isclose(_read(description, name), value, rel_tol=SAME):
-            raise InputError(f"road iso8608: {name} was {description[name]:g}, and is {value:g} here: it is another road")
+            raise InputError(f"road iso8608: {name} was logged as {description[name]:g}, but is now {value:g}: the road differs")
     return road
 
 

@@ -60,7 +60,7 @@ def roughness(road_class: str) -> float:
     """
     known = [*CLASSES, *(f"{a}/{b}" for a, b in itertools.pairwise(CLASSES))]
     if road_class not in known:
-        raise InputError(f"unknown road class {road_class!r}; ISO 8608 has {', '.join(CLASSES)}, and limits such as A/B")
+        raise InputError(f"unknown road class {road_class!r}; give {', '.join(CLASSES)}, or a limit such as A/B (ISO 8608)")
     return 16e-6 * 4.0 ** CLASSES.index(road_class[0]) * (2.0 if "/" in road_class else 1.0)
 
 
@@ -130,14 +130,14 @@ class Iso8608(Road):
             several = " and ".join(
                 f"{name} = {value if isinstance(value, str) else f'{value:g}'}" for name, value in given.items()
             )
-            raise InputError(f"a road of {several}; give one of them, for how rough it is")
+            raise InputError(f"a road has {several}; give only one of them as its roughness")
         check_seed(self.seed)
         check_numbers("road", self, {name: limits for name, limits in LIMITS.items() if name != "gd" or self.gd is not None})
         low, high = BAND_LIMITS
         if not (low <= self.lowest < self.highest <= high and len(self.n) > 1):
             band = f"{self.lowest:g}..{self.highest:g}"
             raise InputError(
-                f"road band = {band} is not allowed; give two ends from {low:g} to {high:g} cycle/m, the lower first"
+                f"road band = {band} is not allowed; give both ends, the lower one first, from {low:g} to {high:g} cycle/m"
             )
         _ = self.roughness
 

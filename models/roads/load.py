@@ -154,7 +154,7 @@ def _moment(kind: str, g: float, p: Parameters) -> float:
     """Returns m_s a h [N m]."""
     if absent := [name for name in NEEDED if name not in p]:
         raise InputError(
-            f"{kind}: its moment is made of {' and '.join(map(repr, NEEDED))}, and this vehicle has no {absent[0]!r}"
+            f"load {kind} needs {' and '.join(map(repr, NEEDED))} for its moment, but this vehicle has no {absent[0]!r}"
         )
     mass, height = (p[name] for name in NEEDED)
     return mass * GRAVITY * g * height

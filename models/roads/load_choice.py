@@ -22,7 +22,7 @@ from models.vehicle.names import LOAD_SYNTAX, is_load_file
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
 MOST_ROWS = 20_000
 LARGEST = 1e9  # N, N m, s
-GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch [N m], roll [N m]"
+GIVE = "give a .csv file with the heading time [s] and at least one of heave [N], pitch [N m], roll [N m]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,21 +110,19 @@ def _history(text: str, source: str) -> History:
     table = find_table(text, GIVE)
     values = table.quantities(("time", *NAMES))
     if "time" not in values or len(values) < 2:
-        raise InputError(f"its columns are {listing(values)}; {GIVE}")
+        raise InputError(f"the file has only the columns {listing(values)}; {GIVE}")
     lines = [line for line, _ in table.rows()]
     if not 2 <= len(lines) <= MOST_ROWS:
-        raise InputError(f"has {len(lines)} rows of numbers; give 2 to {MOST_ROWS}")
+        raise InputError(f"the file has {len(lines)} row(s) of numbers; give 2 to {MOST_ROWS} rows")
     for name, column in values.items():
         for i in np.flatnonzero(np.abs(column) > LARGEST)[:1].tolist():
-            raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, beyond {LARGEST:g} in SI units; correct it")
+            raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, but at most {LARGEST:g} (SI) is allowed; correct it")
     time = values.pop("time")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
-        raise InputError(f"line {lines[i + 1]}: its time, {time[i + 1]:g} s, is not after the one before; sort the rows")
+        raise InputError(f"line {lines[i + 1]}: time {time[i + 1]:g} s is not after the time of the row before; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
-        raise InputError(
-            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and is unknown before; begin at 0 s, or with 0"
-        )
+        raise InputError(f"the load begins at {time[0]:g} s, but {acting[0]} is not 0 there; begin at 0 s, or with a load of 0")
     return History(source, time, values)
 
 

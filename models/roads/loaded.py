@@ -13,7 +13,7 @@ from models.roads.road import DerivedRoad, Road
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 
-WAYS = {HEAVE_LOAD.name: "goes up and down", PITCH_LOAD.name: "pitches", ROLL_LOAD.name: "rolls"}
+WAYS = {HEAVE_LOAD.name: "moves vertically", PITCH_LOAD.name: "pitches", ROLL_LOAD.name: "rolls"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +64,10 @@ class RoadWithLoads(DerivedRoad):
         for load in self.on_body:
             for name in load.ways:
                 if name not in names:
-                    able = " and ".join(WAYS[way] for way in names) if names else "has no body that loads can push"
+                    able = " and ".join(WAYS[way] for way in names) if names else "has no body on which loads act"
                     raise InputError(
-                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able};  "
-                        "take another load or vehicle"
+                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able}; "
+                        "choose another load or vehicle"
                     )
             for name, values in values_of(load).items():
                 total[:, names.index(name)] += values

@@ -163,7 +163,7 @@ class Pothole(Obstacle):
 
     def __post_init__(self) -> None:
         check_numbers("pothole", self, {"depth": LIMITS["height"], "length": LIMITS["length"], "speed": LIMITS["speed"]})
-        _check_length(self, "pothole", "edge", "its two edges, each of")
+        _check_length(self, "pothole", "edge", "its two edges of")
         check_numbers("pothole", self, {"edge": (LIMITS["length"][0], self.length / 2)})
 
     @property

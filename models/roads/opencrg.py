@@ -57,7 +57,7 @@ class Surface:
         middle, tracks = (self.v[0] + self.v[-1]) / 2, []
         for v in (middle + track_width / 2, middle - track_width / 2):
             if not self.v[0] <= v <= self.v[-1]:
-                raise InputError(f"road file {self.source}: {self.v[-1] - self.v[0]:g} m wide, too narrow for {track_width:g} m")
+                raise InputError(f"road file {self.source}: width {np.ptp(self.v):g} m is less than the track {track_width:g} m")
             j = min(int(np.searchsorted(self.v, v, side="right")), len(self.v) - 1)
             share = (v - self.v[j - 1]) / (self.v[j] - self.v[j - 1])
             tracks.append(self.z[:, j - 1] + share * (self.z[:, j] - self.z[:, j - 1]))
@@ -78,7 +78,7 @@ def read_surface(path: Path) -> Surface:
         try:
             from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
         except ImportError as error:
-            raise InputError("needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
+            raise InputError("OpenCRG files need PyOpenCRG; install it with pip install -e '.[opencrg]'") from error
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # most findings do not matter for a profile
@@ -87,7 +87,7 @@ def read_surface(path: Path) -> Surface:
             rows = range(0, len(u), max(1, AT_ONCE // len(v)))
             z = np.concatenate([road.uv_to_z(u[i : i + rows.step, None], v[None, :]) for i in rows])
         except Exception as error:
-            raise InputError(f"not an OpenCRG file ({_reason(error, path)}); {GIVE}") from error
+            raise InputError(f"this is not an OpenCRG file ({_reason(error, path)}); {GIVE}") from error
         if not any("ROAD_CRG_FILE" in line for line in head.struct):
             last = path.read_bytes().rstrip(b"\r\n").rpartition(b"\n")[2]
             _check_whole("\n".join([*head.struct, *head.kd_ind]), u, TEXT_WIDTHS.get(head.fmt, 0), len(head.kd_def), len(last))
@@ -105,11 +105,11 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
         last: characters of the last line.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
-        raise InputError(f"its last line has {last} characters instead of {expected}: it was cut; give the whole file")
+        raise InputError(f"the file is incomplete: its last line has {last} characters, not {expected}; give the whole file")
     end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
     step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
     if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):
-        raise InputError(f"has {len(u)} cross-sections, and its header specifies {promised}; give the complete file")
+        raise InputError(f"the file has {len(u)} cross-sections, but its header specifies {promised}; give the whole file")
 
 
 def _reason(error: Exception, path: Path) -> str:

@@ -72,9 +72,9 @@ class Profile(MeasuredRoad):
         slope = float(np.sqrt(np.mean((np.diff(z, axis=0) / np.diff(x)[:, None]) ** 2)))
         if slope > STEEPEST:
             raise InputError(
-                f"{x[-1] - x[0]:.4g} m in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} to {z.max():.4g} m: "
-                f"an rms slope of {slope:.3g}, steeper than any road; if distances are in km, or heights in mm, add "
-                ":distance_unit=km or :height_unit=mm"
+                f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} "
+                f"to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than any road; if distances are in km, or heights "
+                "in mm, add :distance_unit=km or :height_unit=mm"
             )
 
     def remark(self, length: float) -> str:
@@ -84,8 +84,8 @@ class Profile(MeasuredRoad):
         i, usual = int(steps.argmax()), float(np.median(steps))
         if steps[i] > max(GAP * usual, SHORT):
             return (
-                f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
-                "there: check that no points are missing"
+                f"there is no point between {x[i]:g} m and {x[i + 1]:g} m, but other points are {usual:g} m apart; the road is "
+                "straight in this gap, so check that no points are missing"
             )
         chord = max(CHORD, usual)
         at = np.arange(x[0], x[-1] + chord / 2, chord)  # so that texture does not count
@@ -242,7 +242,7 @@ def check_points(
     Raises:
         InputError: distances that do not ascend, numbers that are not finite, too few points, or a gap in a spline.
     """
-    check_shape("heights", heights, (len(distance), 2), "as there are so many distances, and a left and a right track")
+    check_shape("heights", heights, (len(distance), 2), "one row for each distance, and columns for left and right")
     check_ascending("smooth profile" if smooth else "profile", distance, heights, where, "distance", "m", smooth)
 
 
@@ -263,7 +263,7 @@ def check_ascending(
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:
-        raise InputError(f"a {what} needs at least {fewest} points, and has {len(x)}; give more")
+        raise InputError(f"a {what} needs at least {fewest} points, but has {len(x)}; give more points")
     for i in np.flatnonzero(~np.isfinite(x) | ~np.all(np.isfinite(heights), axis=1))[:1]:
         raise InputError(f"{where(i)} is not finite: {axis} {x[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
     steps = np.diff(x)
@@ -288,7 +288,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
     """
     names, table = read_points(content, "road")
     if len(names) != 3:
-        raise InputError(f"points of a road in {len(names)} column(s); distance, left and right are three")
+        raise InputError(f"the road's points have {len(names)} column(s); expected the three columns distance, left and right")
     return Profile(table[:, 0], table[:, 1:], speed, source, join)
 
 
@@ -300,14 +300,14 @@ def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
     """
     head, _, rest = content.partition(b"\n")
     if rest.count(b"\n") < 2:
-        raise InputError(f"no points of a {what}")
+        raise InputError(f"the points of the {what} are missing")
     try:
         names, table = (
             head.decode().split(","),
             np.loadtxt(io.BytesIO(rest), delimiter=",", ndmin=2, comments=None, encoding="utf-8"),
         )
     except ValueError as error:
-        raise InputError(f"no points of a {what} ({str(error).splitlines()[0]})") from error
+        raise InputError(f"the points of the {what} cannot be read ({str(error).splitlines()[0]})") from error
     if table.shape[1] != len(names):
-        raise InputError(f"points of a {what} in {table.shape[1]} column(s) below {len(names)} name(s)")
+        raise InputError(f"the points of the {what} have {table.shape[1]} column(s) of numbers, but {len(names)} name(s)")
     return names, table

@@ -28,12 +28,12 @@ UNITS = {"distance_unit": "distance", "height_unit": "height"}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
-SAY = "give the columns, as in :columns=1,3 or :columns=1,3,4, or correct the headings, or begin other lines with #"
-A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
+SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
+A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
-STEPPED = "a step was given, and there are distances or more than two columns of heights; give :columns=2, or no step"
+STEPPED = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
 LIKE_DISTANCE = (0.2, 5.0)  # slopes of a column over its row's distance, in any units of length, that no road has all along
-FORMAT = "give two columns, distance and height [m], or three, distance, left and right; or heights alone, with :step=0.25"
+FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 
 
 def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = None) -> Profile:
@@ -55,7 +55,7 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
     if given.get("separator", "comma") not in SEPARATORS:
         raise InputError(f"separator = {given['separator']!r} is unknown; give one of {listing(SEPARATORS)}")
     if not COLUMNS.fullmatch(given.get("columns", "1,2")) or ("step" not in given and "," not in given.get("columns", ",")):
-        example = "two or three numbers from 1, as in columns=1,3 or columns=1,3,4, or with :step one or two"
+        example = "two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
         raise InputError(f"columns = {given['columns']!r} is not allowed; give {example}")
     with reading(path, "road file", FORMAT):
         text = table_text(path)
@@ -96,8 +96,8 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     spacing = float(np.median(np.diff(distance)))
     if spacing > WIDEST and not (headings[used[0]].unit or "distance_unit" in given):
         raise InputError(
-            f"points are {spacing:.3g} m apart, in metres as no unit is given; distances in mm or cm? then give "
-            ":distance_unit=mm, and :distance_unit=m if they are in m"
+            f"the points are {spacing:.3g} m apart if the distances, which have no unit, are in m; give their unit, as in "
+            ":distance_unit=mm or :distance_unit=m"
         )
     return Profile(distance, heights, speed, source)
 
@@ -118,7 +118,7 @@ def choose_columns(
     for name in READ if not wanted else ():
         if names.count(name) > 1:
             texts = " and ".join(f"{one.column}, {quoted(one.text)}" for one in headings if one.quantity == name)
-            raise InputError(f"columns {texts}, are both {name}; {SAY}")
+            raise InputError(f"columns {texts}, both contain {name}; {SAY}")
     if stepped:
         heights = [names.index(name) for name in ("left", "right", "height") if name in names]
         used = wanted or heights[:2] or range(len(headings))
@@ -131,7 +131,7 @@ def choose_columns(
         return [names.index(name) for name in ("distance", "height")]
     used = wanted or range(len(headings))
     if len(used) not in TRACKS:
-        which = f"{FORMAT}, or give the columns, as in :columns=1,4"
+        which = f"{FORMAT}, or choose columns, as in :columns=1,4"
         raise InputError(f"line {table.first + 1} has {table.count} column(s); {which}{A_RIG}")
     for i, allowed in zip(used, (("distance",), *TRACKS[len(used)]), strict=True):
         column = f"column {i + 1} is called {quoted(headings[i].text)}"
@@ -153,9 +153,9 @@ def erd_text(text: str) -> tuple[str, str]:
     lines = header.splitlines()
     sizes = [part.strip() for part in lines[1].split(",")] if len(lines) > 1 else []
     if not end or len(sizes) < 6:
-        raise InputError("is an ERD file without sizes on line 2, or without END; export the profile as text")
+        raise InputError("the ERD file has no sizes on line 2, or no END; export the profile as text")
     if sizes[4] != str(IN_TEXT):
-        raise InputError(f"is an ERD file whose numbers are binary (KEYNUM {sizes[4]}); export it with numbers as text, KEYNUM 5")
+        raise InputError(f"the ERD file has binary numbers (KEYNUM {sizes[4]}); export it with numbers as text (KEYNUM 5)")
     values = {line[:FIELD].strip(): line[FIELD:] for line in lines[2:]}
     fields = range(0, int(sizes[0]) * FIELD, FIELD)
     names, units = ([values.get(keyword, "")[i : i + FIELD].strip() for i in fields] for keyword in ("SHORTNAM", "UNITSNAM"))
@@ -173,16 +173,16 @@ def rdf_text(text: str) -> str:
     lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
     if (kind := values.get("ROAD_TYPE", "")) != "poly_line":
-        raise InputError(f"ROAD_TYPE = {quoted(kind)} is not read; give one of type 'poly_line', or its heights in a .csv file")
+        raise InputError(f"ROAD_TYPE = {quoted(kind)} cannot be read; give a road of type 'poly_line', or a .csv file of heights")
     marks = [i for i, line in enumerate(lines) if line.upper() == RDF]
     if not marks:
-        raise InputError(f"has no table {RDF} of distance, left and right height; give the whole file")
+        raise InputError(f"the file has no table {RDF} of distance, left and right height; give the whole file")
     for name, value in values.items():
         if name.startswith("ROTATION") and not re.fullmatch(r"[+-]?0*\.?0*(e[+-]?\d+)?", value):
-            raise InputError(f"{name} = {value} turns the road, which is not read; give a road along x, with 0")
+            raise InputError(f"{name} = {value} rotates the road, which cannot be read; give a road along x with {name} = 0")
     unit = values.get("LENGTH", "")
     if not unit:
-        raise InputError("has no LENGTH in [UNITS]; give the unit of its table, as in LENGTH = 'meter'")
+        raise InputError("the file has no LENGTH in [UNITS]; give the unit of the table, as in LENGTH = 'meter'")
     begin, length = marks[0] + 1, RDF_UNITS.get(unit, unit)
     rows = itertools.takewhile(lambda line: not line.startswith(("[", "(")), lines[begin:])
     numbers = ["" if line.startswith("{") else line for line in rows]
@@ -204,6 +204,6 @@ def _check_commas(table: NumberTable) -> None:
     number, row = next(table.rows())
     if not any("." in cell for _, cells in table.rows() for cell in cells[1:]):
         raise InputError(
-            f"line {number}: {','.join(row)!r} is a distance and two heights, or one height with a decimal comma; "
-            "give :separator=comma for two heights, or separate columns by ;"
+            f"line {number}: {','.join(row)!r} could be a distance and two heights, or a distance and one height with a decimal "
+            "comma; give :separator=comma for two heights, or separate the columns with semicolons"
         )

@@ -51,7 +51,7 @@ class Rig(MeasuredRoad):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_shape("heights", self.heights, (len(self.time), len(self.posts)), "as there are so many times and posts")
+        check_shape("heights", self.heights, (len(self.time), len(self.posts)), "one row for each time, one column for each post")
         check_posts(self.posts)
         check_history(self.time, self.heights)
 
@@ -69,7 +69,7 @@ class Rig(MeasuredRoad):
         for post in self.posts:
             if post_name(post) in _names(wheel):
                 return post
-        raise InputError(f"no column is called {_names(wheel)[0]}, as its wheel is; the columns are {listing(self.posts[:20])}")
+        raise InputError(f"no column is called {_names(wheel)[0]} like the wheel; the columns are {listing(self.posts[:20])}")
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns zero: the vehicle stands."""
@@ -120,7 +120,7 @@ class Rig(MeasuredRoad):
             if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
-                    f"column {quoted(post)} does not belong to a wheel of this vehicle; give {listing(names)}, or omit the column"
+                    f"column {quoted(post)} does not belong to a wheel of this vehicle; omit it, or give one of {listing(names)}"
                 )
         super().check(vehicle, time)
 
@@ -167,8 +167,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     rises = np.abs(heights - heights[0])
     for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
         raise InputError(
-            f"{where(i)} lies {rises[i].max():g} m from where its post begins; {STROKE:g} m are allowed. If heights are in mm, "
-            "add the unit, as in front_left [mm]"
+            f"{where(i)} is {rises[i].max():g} m from the first height of its post, but only {STROKE:g} m are allowed; if the "
+            "heights are in mm, add the unit, as in front_left [mm]"
         )
 
 
@@ -179,14 +179,14 @@ def check_posts(posts: Sequence[str]) -> None:
         InputError: two posts are the same wheel's, one has no name, or there are none.
     """
     if not posts:
-        raise InputError("0 columns of heights; give one for each wheel")
+        raise InputError("there are no columns of heights; give one column for each wheel")
     seen: dict[str, str] = {}
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {quoted(post)}; give it the name of the wheel on this post")
+            raise InputError(f"a column is called {quoted(post)}; call it like the wheel on this post")
         if name in seen:
-            raise InputError(f"two columns, {quoted(seen[name])} and {quoted(post)}, belong to one wheel; omit one of them")
+            raise InputError(f"the columns {quoted(seen[name])} and {quoted(post)} belong to the same wheel; remove one of them")
         seen[name] = post
 
 

@@ -14,7 +14,7 @@ from models.common.quantities import check_unit_options
 from models.common.table import find_table
 from models.roads.rig import Rig, check_history, check_posts
 
-FORMAT = "give a line of headings, as in: time [s], front_left [mm], front_right [mm], and below it a line for each time"
+FORMAT = "give a line of headings such as: time [s], front_left [mm], front_right [mm], and below it one line for each time"
 UNITS = {"time_unit": "time", "height_unit": "height"}  # settings for headings without a unit
 
 
@@ -33,7 +33,7 @@ def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
         headings = table.headings(("s", "m"))
         clocks = [heading for heading in headings if heading.quantity == "time"]
         if len(clocks) != 1:
-            raise InputError(f"{len(clocks)} columns are called time, and one must be; {FORMAT}")
+            raise InputError(f"{len(clocks)} columns are called time, but exactly one is needed; {FORMAT}")
         posts = [heading for heading in headings if heading is not clocks[0]]
         check_posts([post.name for post in posts])
         scales = [clocks[0].scale("time", "time_unit", settings.get("time_unit", ""))]

@@ -125,18 +125,18 @@ def adjustable(
         damper = dampers[part.force]
         if not part.damping:
             raise InputError(
-                f"[actuators] the vehicle type does not define the damper at {part.force}; set the damping of its Suspension"
+                f"[actuators] the vehicle type does not define a damper at {part.force}; give damping in its Suspension"
             )
         if isinstance(curves.get(part.damping), ForceSurface):
             raise InputError(
-                f"[curves] {part.damping} depends on velocity and deflection, but [actuators] has a semi-active "
-                "damper there; omit one of them, or give the curve over velocity only"
+                f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
+                "semi-active damper; omit one of the two, or give a curve over velocity only"
             )
         nominal = parameters[part.damping]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{part.damping} = {nominal:g} N s/m, which acts if no force is commanded, is not among the "
-                f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
+                f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} to "
+                f"c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
             )
         standing = _standing(damper, nominal, curves.get(part.damping))
         ratio = part.motion_ratio(parameters), part.deflection in tables
@@ -145,8 +145,8 @@ def adjustable(
         pairs = [dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
             raise InputError(
-                f"[actuators] suspensions that share {part.damping} have dampers of other curves; give one pair of c_min and "
-                "c_max to all of them"
+                f"[actuators] suspensions that share {part.damping} have different damper curves; give the same c_min and "
+                "c_max to all of these suspensions"
             )
     return tuple(placed)
 
@@ -161,7 +161,7 @@ def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> Forc
         return None
     x = np.unique(np.concatenate([points for _, points, _ in parts]))
     bent = sum((weight * pieces.force(x) for weight, _, pieces in parts), np.zeros_like(x))
-    return ForceCurve(x, nominal * x + bent, nominal, "the nominal damper, with what acts in parallel")
+    return ForceCurve(x, nominal * x + bent, nominal, "the nominal damper, with the curve parallel to it")
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
@@ -173,11 +173,11 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     on = (one.ramp(far, one.low) - pull[[0, -1]]) / x[[0, -1]]
     feeding = np.flatnonzero(pull * np.sign(x) < -ROUNDING * one.standing.range)
     where = [f"at {x[i]:g} m/s" for i in feeding[:1]]
-    where += [f"beyond {x[end]:g} m/s, as it goes on from there" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
+    where += [f"beyond {x[end]:g} m/s, where its end is extended" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
-            f"[curves] {parameter} adds to a semi-active damper, whose softest setting then feeds energy in {where[0]}; give "
-            "only the line and the friction in [curves], and the measured limits as curves c_min and c_max of [actuators]"
+            f"[curves] {parameter} adds to a semi-active damper, and both together, at c_min, supply energy {where[0]}; give "
+            "only the line and the friction in [curves], and the measured limits as curves c_min and c_max in [actuators]"
         )
 
 
@@ -192,8 +192,8 @@ def check_measured(name: str, measured: Sequence[str], dampers: Sequence[Adjusta
         if one.force in measured and (one.over_travel or one.damper.pair is not None):
             what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
             raise InputError(
-                f"[controllers.{name}] measures {one.force}, and no sensor tells it of a damper {what}; measure "
-                "suspension_velocity, from which it follows, or give numbers"
+                f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
+                "suspension_velocity instead, or give numbers"
             )
 
 

@@ -42,13 +42,13 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
     tendons = {tendon.name: tendon for tendon in spec.tendons}
     for fit in curves:
         if fit.tendon not in tendons:
-            raise InputError(f"has no tendon {fit.tendon!r} for a curve of its suspension; add the tendon, or omit the curve")
+            raise InputError(f"the tendon {fit.tendon!r} of a suspension with a curve is missing; add it, or omit the curve")
         tendon, curve = tendons[fit.tendon], fit.curve
         own = float((tendon.damping if fit.damps else tendon.stiffness)[0])
         if not abs(own - curve.slope) <= SAME * max(abs(own), abs(curve.slope)):
             raise InputError(
-                f"its tendon {fit.tendon!r} has {own:g} where {fit.parameter} is {curve.slope:g}, so no curve can replace "
-                "it; have write_mjcf write the parameter, or omit the curve"
+                f"the tendon {fit.tendon!r} has the value {own:g}, but {fit.parameter} is {curve.slope:g}, so a curve cannot "
+                "replace it; let write_mjcf write the parameter, or omit the curve"
             )
         if fit.surface is not None:
             motor = spec.add_actuator(name=f"{prefix}{SURFACE}{fit.tendon}", target=fit.tendon)
@@ -93,7 +93,7 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
     for velocity, deflection in deflections:
         length = sensors.get(deflection)
         if length is None or length.type not in speeds:
-            raise InputError(f"has no sensor {deflection!r} of a tendon's or joint's length, whose speed {velocity!r} would be")
+            raise InputError(f"{velocity!r} needs a sensor {deflection!r} of the length of a tendon or joint; add this sensor")
         sensor = spec.add_sensor(name=velocity, type=speeds[length.type], objtype=length.objtype, objname=length.objname)
         sensor.userdata = list(length.userdata)
 
@@ -116,8 +116,8 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
         actuator, tendon = actuators.get(placed.force), tendons[placed.force]
         if actuator is None or (actuator.target, float(actuator.gear[0])) != (tendon, 1.0):
             raise InputError(
-                f"MJCF {mjcf}: the actuator {placed.force!r} is not a motor of gear 1 on the tendon {tendon!r}, and cannot be "
-                "the damper of [actuators]; make it one, or omit that section"
+                f"MJCF {mjcf}: the damper of [actuators] needs the actuator {placed.force!r} as a motor of gear 1 on the tendon "
+                f"{tendon!r}; change this actuator, or omit [actuators]"
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
         line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)

@@ -59,7 +59,7 @@ class Pair:
         """h [m/s] over velocity [m/s]."""
         x = self.knots
         bent = (self.hard.pieces.force(x) - self.soft.pieces.force(x)) / (self.hard.slope - self.soft.slope)
-        return ForceCurve(x, x + bent, 1.0, "how its settings are apart")
+        return ForceCurve(x, x + bent, 1.0, "the difference of the damper's settings")
 
     @property
     def line(self) -> float:
@@ -104,19 +104,19 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Pair:
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING * largest))[:1].tolist():
         raise InputError(
-            f"at {x[i]:g} m/s c_min pulls with {low[i]:g} N and c_max with {high[i]:g} N; give as c_max the firmest setting, "
-            "which takes more than the softest at every velocity"
+            f"at {x[i]:g} m/s, c_min has the force {low[i]:g} N and c_max {high[i]:g} N; give the firmest setting as c_max, "
+            "with a larger force than c_min at every velocity"
         )
     if not soft.slope < hard.slope:
         raise InputError(
-            f"at rest c_min has a slope of {soft.slope:g} N s/m and c_max of {hard.slope:g} N s/m; give as c_max the firmest "
-            "setting, which is the steeper one there"
+            f"at velocity 0, c_min has the slope {soft.slope:g} N s/m and c_max {hard.slope:g} N s/m; give the firmest setting "
+            "as c_max, with the larger slope there"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
         if hard.slopes[end] < soft.slopes[end] - TOUCHING * abs(soft.slopes[end]):
             raise InputError(
-                f"{side} c_min and c_max go on with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, and meet there; give "
-                "last points from which they do not"
+                f"{side}, c_min and c_max are extended with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so they cross; "
+                "change the outermost points so that the curves do not cross"
             )
     return pair
 
@@ -146,9 +146,9 @@ class Damper:
     @property
     def words(self) -> str:
         """The damper in a phrase."""
-        lag = "" if self.bandwidth is None else f", whose valve lags from {self.bandwidth:g} rad/s on"
-        between = "" if self.pair is None else " at rest, between two curves"
-        return f"an adjustable damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
+        lag = "" if self.bandwidth is None else f", with a valve of bandwidth {self.bandwidth:g} rad/s"
+        between = "" if self.pair is None else " at velocity 0, between two curves"
+        return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
@@ -166,10 +166,10 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
     for name in section:
         if name in single and name not in endings:
-            known = f"sections {listing(endings)}" if endings else "no sections, for there is one suspension"
-            raise InputError(f"[actuators.{name}] is not a suspension of this vehicle; it has {known}")
+            known = f"give one of {listing(endings)}" if endings else "omit the section, as there is only one suspension"
+            raise InputError(f"[actuators.{name}] is not a suspension of this vehicle; {known}")
         if name not in single and name not in KEYS:
-            raise InputError(f"[actuators] unknown key {name!r}; known: {listing((*KEYS, *endings))}")
+            raise InputError(f"[actuators] unknown key {name!r}; known keys: {listing((*KEYS, *endings))}")
     common = {name: value for name, value in section.items() if name not in single}
     own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
     for where, value in own.values():
@@ -180,8 +180,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     dampers = {force: damper for force, damper in by_force.items() if damper is not None}
     if dampers and limited:
         raise InputError(
-            f"[limits] {limited[0]} is for force actuators, but [actuators] has semi-active dampers, which c_min, c_max and "
-            'bandwidth limit; omit the key, or give controllers of force actuators actuators = "force"'
+            f"[limits] {limited[0]} is for force actuators, but [actuators] has semi-active dampers; omit {limited[0]}, or give "
+            'actuators = "force" in the sections of controllers that use force actuators'
         )
     return dampers
 
@@ -198,17 +198,17 @@ def _merged(common: Mapping[str, Any], own: tuple[str, Mapping[str, Any]] | None
 def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
     kind = given.get("kind", KINDS[0])
     if kind not in KINDS:
-        raise InputError(f"{where} kind = {quoted(kind)} is not known; known: {listing(KINDS)}")
+        raise InputError(f"{where} kind = {quoted(kind)} is unknown; give one of {listing(KINDS)}")
     numbers = {name: given[name] for name in KEYS[1:] if name in given}
     if kind == KINDS[0]:
         if numbers:
             raise InputError(
-                f'{where} has {next(iter(numbers))} without kind = "damper"; add it, or give the largest force and the lag of '
-                "actuators that push in [limits]"
+                f'{where} has {next(iter(numbers))} without kind = "damper"; add kind = "damper", or, for force actuators, give '
+                "actuator_force and actuator_bandwidth in [limits]"
             )
         return None
     if absent := [name for name in CURVED if name not in numbers]:
-        raise InputError(f"{where} {absent[0]} is missing; a semi-active damper has c_min and c_max [N s/m]")
+        raise InputError(f"{where} {absent[0]} is missing; give c_min and c_max of the semi-active damper in N s/m")
     pair = _pair(where, numbers)
     if pair is not None:
         numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}
@@ -230,7 +230,7 @@ def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
     tables = [name for name in CURVED if isinstance(given[name], Mapping)]
     if len(tables) == 1:
         (other,) = {*CURVED} - {*tables}
-        raise InputError(f"{where} {tables[0]} is a curve, and {other} a number; give both as curves, or both as numbers [N s/m]")
+        raise InputError(f"{where} {tables[0]} is a curve, but {other} is a number; give two curves, or two numbers in N s/m")
     if not tables:
         return None
     curves = []

@@ -69,7 +69,10 @@ def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
         name: [(slope - one.of_preload) / one.ratio**2 for slope in (one.curve.slope, *one.curve.slope_range)]
         for name, one in bent.items()
     }
-    return ", ".join(f"{name} {rough(at)} (elsewhere {rough(low)} to {rough(high)})" for name, (at, low, high) in slopes.items())
+    return ", ".join(
+        f"{name} {rough(at)} (slope of the whole curve: {rough(low)} to {rough(high)})"
+        for name, (at, low, high) in slopes.items()
+    )
 
 
 def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> dict[str, Any]:
@@ -80,7 +83,7 @@ def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> d
     """
     for name in slopes:
         if name in parameters:
-            raise InputError(f"{name} is in [parameters] and in [curves]; omit one: a curve has its slope at rest")
+            raise InputError(f"{name} is in both [parameters] and [curves]; omit it in [parameters], as the curve gives it")
     return {**parameters, **slopes}
 
 

@@ -149,7 +149,7 @@ class ControllerEntry:
         elif self.design:
             parts[self.design] = f'order = "{FULL}"' if self.design == FULL else f'design = "{self.design}"'
         elif self.goals is None:
-            parts["steps"] = "no law, order or design"
+            parts["steps"] = "the default two-step design"
         flags = {
             "stable": self.stable,
             "noise": any(self.hardware.noise),
@@ -199,7 +199,7 @@ def read_controllers(
     for written, given in section.items():
         name = unicodedata.normalize("NFC", written)
         if name in controllers:
-            raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
+            raise InputError(f"[controllers.{name}] appears twice, in two spellings that look the same; rename one of the two")
         check_name(f"[controllers.{name}]", name, RESERVED)
         forced, entry = _forced(f"[controllers.{name}]", given)
         entry, weights = without_weighted_errors(entry)
@@ -224,7 +224,7 @@ def _forced(where: str, section: Any) -> tuple[bool, Any]:
     if section["actuators"] != PUSHING:
         raise InputError(
             f'{where} actuators = {quoted(section["actuators"])} is not allowed; give "{PUSHING}" for force actuators, or '
-            "omit it for those of [actuators]"
+            "omit actuators to use those of [actuators]"
         )
     return True, {key: value for key, value in section.items() if key != "actuators"}
 
@@ -241,7 +241,7 @@ def _controller(
 ) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} is not a section with measured = [signals]; write {where} once, and its keys below")
+        raise InputError(f"{where} is not a section; write {where} once, and below it keys such as measured = [signals]")
     design = _design(where, entry)  # a value that is none is no part, and what is beside it is right
     check_together(where, section_parts(entry, model.inputs))
     semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
@@ -250,15 +250,15 @@ def _controller(
     for key in entry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
-                f"{where} unknown key {key!r}; a controller is a gain, a law with states (A, B, C, D) or in Python, or a design; "
-                f"known: {listing(CONTROLLER_KEYS)}"
+                f"{where} unknown key {key!r}; a controller is a gain, a law with states (A, B, C, D), a law in Python, or a "
+                f"design, and its keys are {listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
-        raise InputError(f"{where} its file must be next to a vehicle file, but this text is not from a file; give its matrices")
+        raise InputError(f"{where} file needs a vehicle file next to it, but this vehicle is read from text; give the matrices")
     structured = entry.get("structure") in PATTERNS
     given = any(key in entry for key in ("gain", *MATRICES, *["pid"] * (not structured)))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
-        raise InputError(f"{where} a certificate is a section of its own, beside that of the gain or law; remove it here")
+        raise InputError(f"{where} certificate needs a section with a gain or a law, and must be a table; remove it here")
 
     python = read_law(where, entry, folder)
     of_state = design in ("lqr", PREVIEW)
@@ -268,33 +268,33 @@ def _controller(
     study, measurable = flag_within(where, entry, "study"), listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
         mistake = f"measured = {quoted(measured)} is not a list of signals" if "measured" in entry else "measured is missing"
-        raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
+        raise InputError(f"{where} {mistake}; give a list of signals from {measurable}")
     for signal in measured:
         if signal not in model.outputs:
-            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {alike(signal, model.measurable)}")
+            raise InputError(f"{where} unknown signal {quoted(signal)}; measurable are {alike(signal, model.measurable)}")
         if measured.count(signal) > 1:
-            raise InputError(f"{where} measures {signal!r} twice; give it once")
+            raise InputError(f"{where} measures {signal!r} twice; list this signal once")
         if signal not in model.measurable:
             if signal in model.heights and study:
                 continue
             if signal in model.heights:
                 raise InputError(
                     f"{where} {signal!r} is a height above a flat datum, which no sensor on a car measures; give study = true "
-                    f"for a law to study, or signals out of: {measurable}"
+                    f"for a theoretical study, or choose signals from {measurable}"
                 )
             raise InputError(
-                f"{where} {signal!r} contains the road's height in addition to the state, and feedback uses the state "
-                f"only; give signals out of: {measurable}"
+                f"{where} {signal!r} depends on the road's height, but feedback may use only the state; choose signals from "
+                f"{measurable}"
             )
     if study and not model.over_datum(measured):
-        raise InputError(f"{where} has study = true, but measures no height over the datum of a flat road; omit study")
+        raise InputError(f"{where} has study = true, but measures no height above a flat datum; omit study")
     if not given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(f"{where} control forces alone do not determine the state; measure signals out of: {measurable}")
+        raise InputError(f"{where} control forces alone do not determine the state; add signals from {measurable}")
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(
-            f'{where} measured = {quoted(measured)}: design = "{design}" uses the full state, {listing(model.states)}; leave '
-            f"measured out{instead}"
+            f'{where} measured = {quoted(measured)} is not allowed, because design = "{design}" uses the full state, '
+            f"{listing(model.states)}; omit measured{instead}"
         )
     structure = pid = None
     if structured or "pid" in entry or is_order(entry.get("order")):
@@ -328,12 +328,12 @@ def _preview(where: str, entry: Mapping[str, Any], dampers: Mapping[str, str]) -
         return 0.0
     if "preview" not in entry:
         raise InputError(
-            f'{where} design = "{PREVIEW}" needs its preview of the road ahead; give seconds, as in preview = 0.5: the '
-            "distance that a sensor sees over the speed"
+            f'{where} design = "{PREVIEW}" needs the time for which it knows the road ahead; give it in seconds, as in '
+            "preview = 0.5. This is the range of the road sensor divided by the speed"
         )
     if dampers:
         raise InputError(
-            f'{where} design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; give another '
+            f'{where} design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; choose another '
             "design, or omit [actuators]"
         )
     return checked_preview(where, entry["preview"])
@@ -349,22 +349,22 @@ def _hardware(
     implementation: Implementation,
 ) -> DesignConditions:
     """Returns sensor noise and actuator lag that a controller is designed for."""
-    flags = {key: flag_within(where, entry, key, more=": how much is in another section") for key in ("noise", "lag")}
+    flags = {key: flag_within(where, entry, key, more=" (other sections define the amount)") for key in ("noise", "lag")}
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if flags["noise"] else ()
     if flags["noise"] and not any(noise):
         raise InputError(
-            f"{where} has noise = true, but [implementation] gives no noise of what it measures; give it, as in "
-            f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or omit noise = true"
+            f"{where} has noise = true, but [implementation] gives no noise on its measured signals; give the rms in the "
+            f"signal's unit, as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
     if forces and design and not flags["lag"]:
         raise InputError(
-            f"{where} has noise = true, but [implementation] has noise on {forces[0]!r}, which a design takes out of what is "
-            "measured and knows no noise of; omit that noise"
+            f"{where} has noise = true, but [implementation] has noise on {forces[0]!r}, and a design cannot account for noise "
+            f"on a measured force; omit the noise on {forces[0]!r}"
         )
     if flags["lag"] and limits.actuator_bandwidth is None:
         raise InputError(
-            f"{where} has lag = true, but [limits] gives the actuators no lag; give actuator_bandwidth [rad/s], or omit lag"
+            f"{where} has lag = true, but [limits] has no actuator_bandwidth; give actuator_bandwidth [rad/s], or omit lag"
         )
     return DesignConditions(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
@@ -374,7 +374,7 @@ def _design(where: str, entry: Mapping[str, Any]) -> str:
     for key, allowed in {"order": (STATIC, FULL), "design": (*QUADRATIC, PREVIEW)}.items():
         if key in entry and entry[key] not in allowed and not (key == "order" and is_order(entry[key])):
             states = f", or a number of states from 0 to {MOST_STATES}" if key == "order" else ""
-            raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}{states}")
+            raise InputError(f"{where} {key} = {quoted(entry[key])} is unknown; give one of {listing(allowed)}{states}")
     return FULL if entry.get("order") == FULL else entry.get("design", "")
 
 
@@ -394,11 +394,11 @@ def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, cl
     if rate is None:
         return None
     if law is not None and not law.states:
-        raise InputError(f"{where} has anti_windup, but its law has no states that wind up; omit anti_windup")
+        raise InputError(f"{where} has anti_windup, but its law has no states that can wind up; omit anti_windup")
     if not clipped:
         raise InputError(
-            f"{where} has anti_windup, but nothing clips its forces; give [limits] actuator_force, or [actuators] "
-            'kind = "damper", or omit anti_windup'
+            f"{where} has anti_windup, but no limit clips its forces; omit anti_windup, or give [limits] actuator_force, or "
+            '[actuators] kind = "damper"'
         )
     return rate
 
@@ -412,7 +412,7 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
         return None
     if missing := [key for key in MATRICES if key not in entry]:
         raise InputError(
-            f"{where} {listing(missing)} is missing: a law with states is x_c' = A x_c + B y, u = C x_c + D y; give all four"
+            f"{where} {listing(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
         )
     for key in MATRICES:
         rows = entry[key]
@@ -421,7 +421,7 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
     period = entry.get("sample_period")
     if period is not None and (not is_finite(period) or not SHORTEST <= period <= LONGEST):
         raise InputError(
-            f"{where} sample_period = {quoted(period)} is not allowed; give seconds from {SHORTEST:g} to {LONGEST:g}"
+            f"{where} sample_period = {quoted(period)} is not allowed; give a number from {SHORTEST:g} to {LONGEST:g} s"
         )
     k, m, q = len(entry["A"]) if any(entry["A"]) else 0, len(model.inputs), len(measured)
     shapes = {"A": (k, k), "B": (k, q), "C": (m, k), "D": (m, q)}
@@ -431,8 +431,8 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
             continue  # of a law without states, however it is written down
         if len(there) != rows or any(len(row) != columns for row in there):
             raise InputError(
-                f"{where} {key} has {size(there)}; give {rows} row(s) of {columns} number(s), as A has {k} row(s), this vehicle "
-                f"{m} actuator(s), and {q} signal(s) are measured"
+                f"{where} {key} has {size(there)}; give {rows} row(s) of {columns} number(s), because A has {k} row(s), this "
+                f"vehicle has {m} actuator(s), and the controller measures {q} signal(s)"
             )
     with error_in(where):
         return LinearLaw(*(np.array(entry[key], dtype=float).reshape(shapes[key]) for key in MATRICES), sample_period=period)
@@ -441,8 +441,8 @@ def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: lis
 def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Array:
     m, q = len(model.inputs), len(measured)
     allowed = (
-        f"give {m} row(s) (one per actuator) of {q} number(s) (one per measured signal) of at most {LARGEST:g}, as in "
-        f"gain = {[[1.0] * q] * m}"
+        f"give {m} row(s), one for each actuator, of {q} number(s), one for each measured signal, of at most "
+        f"{LARGEST:g} in magnitude, as in gain = {[[1.0] * q] * m}"
     )
     rows = gain if isinstance(gain, list) else [gain]
     if not all(isinstance(row, list) and all(is_number(entry) for entry in row) for row in rows):

@@ -44,7 +44,7 @@ class ForeignFmu:
             InputError: FMPy is missing, or the FMU cannot be read, does not fit the measured signals, or fails.
         """
         if find_spec("fmpy") is None:
-            raise InputError("an FMU needs FMPy; pip install 'roadproof[fmi]'")
+            raise InputError("an FMU needs FMPy; run pip install 'roadproof[fmi]'")
         if hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
             raise InputError("the FMU has changed since the vehicle file was read; run the command again")
         import fmpy  # pyright: ignore[reportMissingImports] - an extra
@@ -57,7 +57,7 @@ class ForeignFmu:
         old, platforms = description.fmiMajorVersion == 2, [path.name for path in Path(self._folder.name, "binaries").glob("*")]
         needed = fmpy.platform if old else fmpy.platform_tuple
         if needed not in platforms:
-            raise InputError(f"the FMU has binaries for {listing(platforms)}, and none for {needed}; export it for {needed}")
+            raise InputError(f"the FMU has binaries for {listing(platforms)}, but not for {needed}; export it for {needed}")
         with self._errors():
             fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=_log)
             self._fmu, self._end = fmu, weakref.finalize(self, _end, fmu)
@@ -124,19 +124,19 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         {names.get(one.name, one.name): one for one in real if one.causality == kind} for kind in ("input", "output")
     )
     if unknown := [name for name in names if name not in [one.name for one in real]]:
-        raise InputError(f"it has no variable {quoted(unknown[0])}, but {listing([one.name for one in real])}; correct the names")
+        raise InputError(f"the FMU has no variable {quoted(unknown[0])}; give one of {listing([one.name for one in real])}")
     if {*inputs} != {*measured}:
-        other = 'list them in `measured`, or give their signals, as in inputs = { In1 = "suspension_deflection" }'
-        raise InputError(f"its inputs are {listing(inputs)}, and the controller measures {listing(measured)}; {other}")
+        other = 'list the inputs in `measured`, or give their signals, as in inputs = { In1 = "suspension_deflection" }'
+        raise InputError(f"the FMU has the inputs {listing(inputs)}, but the controller measures {listing(measured)}; {other}")
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        raise InputError(f"its outputs are {listing(outputs)}; name its forces {FORCE}, or {FORCE}_CORNER, or give outputs")
+        raise InputError(f"its outputs are {listing(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
     for one in (*inputs.values(), *forces):
         name = names.get(one.name, one.name)
         unit = one.unit or (one.declaredType and one.declaredType.unit)
         signal = next((known for known in KNOWN if f"{name}_".startswith(f"{known.name}_")), None)  # or one of its corners
         if unit and signal and _plain(unit) != signal.unit:
-            raise InputError(f"the unit of its {one.name} is {quoted(unit)}; export it in {signal.unit}")
+            raise InputError(f"{one.name} of the FMU has the unit {quoted(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces
 
 

@@ -50,7 +50,7 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
         parse_toml(f'{text}\n[controllers.""]')
     except InputError as error:
         raise InputError(
-            "the vehicle file has controllers = { ... }, to which no section can be added; write each as [controllers.NAME]"
+            "no section can be added to controllers = { ... } of the vehicle file; write each one as [controllers.NAME]"
         ) from error
     return text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
 
@@ -69,7 +69,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, PythonLaw]) -> str:
     for name, law in laws.items():
         place = os.path.relpath(os.path.realpath(law.path or law.file), os.path.realpath(folder))
         if place.startswith(os.pardir):
-            raise InputError(f"its law {law.law} would be outside of {folder}")
+            raise InputError(f"the law {law.law} would be outside of the folder {folder}")
         key, named = ("fmu", Path(place).as_posix()) if law.is_fmu else ("law", f"{Path(place).as_posix()}:{law.function}")
         if named != Path(law.law).as_posix():
             replacements.append(Replacement(("controllers", name, key), {key: named}))
@@ -99,7 +99,7 @@ def _of_toml(text: str) -> list[dict[str, Any]]:
     data = parse_toml(text)
     family = data.get(KEY)
     if set(data) != {KEY} or not isinstance(family, list) or not all(isinstance(member, dict) for member in family):
-        raise InputError(f"does not contain {KEY} alone; {GIVE_FAMILY}")
+        raise InputError(f"the file must contain only {KEY}; {GIVE_FAMILY}")
     return family
 
 
@@ -116,7 +116,7 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
         if not isinstance(file, str) or not file:
             raise InputError(f"{where} file = {quoted(file)} is not the name of a file; {GIVE_LAW}")
         if others := [key for key in ("gain", "law", "fmu", *MATRICES) if key in entry]:
-            raise InputError(f"{where} has a file and {listing(others)}; a file has the whole law, so omit one of them")
+            raise InputError(f"{where} has both file and {listing(others)}, but a file contains the whole law; omit one of them")
         path = folder / file
         with reading(path, f"{where} file", GIVE_LAW):
             content = path.read_bytes()
@@ -124,6 +124,6 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             if period is not None:
                 given = in_unit(entry.get("sample_period", period), "s", "sample_period")
                 if given != period:
-                    raise InputError(f"has a sample period of {period:g} s, and sample_period = {quoted(given)} is another")
+                    raise InputError(f"its period is {period:g} s, but sample_period = {quoted(given)}; omit sample_period")
                 law |= {} if "sample_period" in entry else {"sample_period": period}
         yield Replacement(("controllers", name, "file"), law, origin(file, content), (path,))

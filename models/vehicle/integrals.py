@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from models.common.errors import InputError
 from models.vehicle.controllers import ControllerEntry
 
-SAMPLED = "a computer sums its readings, and only that sum returns to zero: the integral between them has no norm"
+SAMPLED = "a sampled controller returns only the sum of its samples to zero, so the integral has no norm"
 
 
 def check_integrals(
@@ -25,19 +25,19 @@ def check_integrals(
     if not entry.linear:
         return
     weighed = next(iter(integrals)).removeprefix("integral_of_")
-    where = f"[controllers.{entry.name}] and the integral of {weighed} in [performance]:"
+    where = f"[controllers.{entry.name}] cannot be combined with the integral of {weighed} in [performance]:"
     if sampled or entry.sampled:
-        raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; omit sampled")
+        raise InputError(f"{where} {SAMPLED}; omit sampled")
     if entry.study:
-        raise InputError(f"{where} the law measures heights over the datum of a flat road, which leave no integral at zero")
+        raise InputError(f"{where} the law measures heights above a flat datum, which cannot return the integral to zero")
     if entry.goals is not None:
-        raise InputError(f"{where} goals are for static gains, which have no integral; give a design or an order instead")
+        raise InputError(f"{where} goals are for static gains, which contain no integral; give a design or an order instead")
     if entry.errors is not None:
         raise InputError(
-            f"{where} an error that is weighted by frequency acts ahead of it; give the error as a number, or omit the pole at 0"
+            f"{where} tolerance has an error that depends on frequency; give this error as a number, or omit the pole at 0"
         )
     if entry.stable:
-        raise InputError(f"{where} its law has an integrator, a pole at 0, which is not stable by itself; omit stable")
+        raise InputError(f"{where} the law then has an integrator, so the law alone is not stable; omit stable")
     if entry.structure is not None and (entry.structure.kind or entry.structure.rows is not None):
         raise InputError(f"{where} a law with a structure has no state for it; give order = 2 without structure, or a design")
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
@@ -46,6 +46,6 @@ def check_integrals(
     for terms in integrals.values():
         if set(terms) <= set(entry.measured) and (louder := [name for name in terms if noisy.get(name)]):
             raise InputError(
-                f"{where} the law integrates the noise of {louder[0]} with it, without bound: there is no norm; omit "
-                "that noise, or give a filter without a pole at 0"
+                f"{where} the law would also integrate the noise on {louder[0]}, so there is no finite norm; omit this noise, "
+                "or give a filter without a pole at 0"
             )

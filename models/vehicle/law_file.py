@@ -37,7 +37,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         if missing:
             raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
     if "K" in matrices and {*MATRICES} & {*matrices}:
-        raise InputError(f"{where} has K and {listing({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D")
+        raise InputError(f"{where} has both K and {listing({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D")
     _check_plain(matrices)
     if "A" not in matrices or not matrices["A"].size:
         gain = "K" if "K" in matrices else "D"
@@ -54,35 +54,35 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
             places[f"the struct {name}"] = {field: value[field][0, 0] for field in value.dtype.names}
     holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, *OTHERS, "K", *TRANSFER}}
     if len(holding) > 1:
-        raise InputError(f"contains more than one controller, in {' and '.join(holding)}; keep one")
+        raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep one of them")
     for where, values in holding.items():
         return where, _as_matrices(where, values)
     if "None" in variables:  # SciPy's name for objects, whose own name and class are in a row of four
         name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
         raise InputError(
-            f"{name} is a MATLAB object of class {kind}, which only MATLAB reads; if it is a system, call there "
-            f"[A, B, C, D, Ts] = ssdata({name}); {SAVE}"
+            f"{name} is a MATLAB object of class {kind}, which only MATLAB can read; for a system, call "
+            f"[A, B, C, D, Ts] = ssdata({name}) and {SAVE} in MATLAB"
         )
     others = [name for name in variables if not name.startswith("__")]
-    raise InputError(f"contains neither A, B, C, D nor K, but {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
+    raise InputError(f"the file contains {first_few(others) or 'nothing'}, but neither A, B, C, D nor K; in MATLAB, call {SAVE}")
 
 
 def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
     """Returns the matrices of a law by their usual names; of a transfer function those of its controllable canonical form."""
     if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
-        raise InputError(f"{where} has {both[0]}; keep one of them")
+        raise InputError(f"{where} has both {both[0]}; keep one of them")
     values = {OTHERS.get(name, name): value for name, value in values.items()}
     if not {*TRANSFER} & {*values}:
         return values
     missing, more = [name for name in TRANSFER if name not in values], [name for name in (*MATRICES, "K") if name in values]
     if missing or more:
         raise InputError(
-            f"{where} has a transfer function {'and ' + more[0] if more else 'without ' + missing[0]}; give num and den"
+            f"{where} has a transfer function {'and ' + more[0] if more else 'without ' + missing[0]}; give only num and den"
         )
     num, den = (np.trim_zeros(_numbers(name, values[name]).ravel(), "f") for name in TRANSFER)
     if not len(num) <= len(den) or not len(den):
         raise InputError(
-            f"num has {len(num)} coefficients and den {len(den)}; give a den of at least as many, the highest power first"
+            f"num has {len(num)} coefficients, but den only {len(den)}; give a den with at least {len(num)}, highest power first"
         )
     n, num = len(den) - 1, np.pad(num, (len(den) - len(num), 0)) / den[0]
     a = den[1:] / den[0]
@@ -98,7 +98,7 @@ def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
 def _numbers(name: str, value: Any) -> Array:
     """Returns a matrix of real finite numbers; the law checks its size."""
     if value.dtype.kind in KINDS:
-        raise InputError(f"{name} is {KINDS[value.dtype.kind]}; give a matrix of numbers: in MATLAB, call {SAVE}")
+        raise InputError(f"{name} is {KINDS[value.dtype.kind]}, not a matrix of numbers; in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]
 
 
@@ -106,15 +106,15 @@ def _check_plain(matrices: Mapping[str, Any]) -> None:
     """Refuses a struct of a system with fields other than its matrices that would change the law."""
     E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
     if E.size and not np.array_equal(E, np.eye(len(E))):
-        raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
+        raise InputError("E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')")
     delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
     if delayed:
         raise InputError(
-            f"has {', '.join(delayed)} above 0, but a law has no delay here; give it in [implementation], or use pade(sys, 3)"
+            f"{', '.join(delayed)} is above 0, but a law has no delay here; give it in [implementation], or use pade(sys, 3)"
         )
     unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
     if unit not in ("", "seconds"):
-        raise InputError(f"TimeUnit is {quoted(unit)}; give seconds, by chgTimeUnit(sys, 'seconds') in MATLAB")
+        raise InputError(f"TimeUnit is {quoted(unit)}; in MATLAB, convert to seconds with chgTimeUnit(sys, 'seconds')")
 
 
 def _period(matrices: Mapping[str, Any]) -> float | None:
@@ -125,5 +125,5 @@ def _period(matrices: Mapping[str, Any]) -> float | None:
             raise InputError(f"{name} = {quoted(value)} is not a sample period; give seconds, or 0 for a continuous law")
     values = {value.item() for value in periods.values()}
     if len(values) > 1:
-        raise InputError("Ts and sample_period are two sample periods; keep one")
+        raise InputError("the file has two different sample periods, Ts and sample_period; keep one of them")
     return max(values, default=0.0) or None

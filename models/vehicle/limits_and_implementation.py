@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from models.suspension.bump_stops import Place, Stiffness, StopPair, Stops
 
 LIMITS = (
-    Parameter("actuator_force", "N", "largest force of every actuator, either way"),
-    Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
+    Parameter("actuator_force", "N", "largest force of every actuator, in both directions"),
+    Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator's first-order lag"),
 )
 
 ORDERS = ("force", "command")  # of `Limits.limit`
@@ -135,7 +135,7 @@ class Limits:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
             hertz = rough(self.actuator_bandwidth / (2 * math.pi))
-            phrases.append(f"actuators that lag from {hertz} Hz on ({self.actuator_bandwidth:g} rad/s)")
+            phrases.append(f"actuators with bandwidth {hertz} Hz ({self.actuator_bandwidth:g} rad/s)")
         return tuple(phrases)
 
 
@@ -229,7 +229,7 @@ class Implementation:
         if self.delay:
             phrases.append(f"forces that act {delay_text(self.delay)}")
         phrases += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
-        phrases += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
+        phrases += [f"{name} quantised in steps of {step:g}" for name, step in self.quantisation.items() if step]
         return tuple(phrases)
 
 
@@ -242,12 +242,12 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     of_actuators = {parameter.name: parameter for parameter in LIMITS}
     for name, value in section.items():
         if name not in (*of_actuators, "limit", *STOP_NAMES) and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
+            raise InputError(f"[limits] unknown key {name!r}; known keys: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
     if (limit := section.get("limit")) is not None:
         if limit not in ORDERS:
             raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
         if "actuator_force" not in section:
-            raise InputError(f"[limits] has limit = {limit!r} but no largest force; give actuator_force [N], or omit limit")
+            raise InputError(f"[limits] has limit = {limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
     of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
     limits = Limits()
     if of_stops:
@@ -279,11 +279,11 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
         values_by_key[name] = int(value) if value == int(value) else value
     for name in ("noise", "quantisation"):
-        values = table_within(f"[implementation] {name}", section.get(name, {}), f"one, as in {name} = {{ signal = value }}")
+        values = table_within(f"[implementation] {name}", section.get(name, {}), f"a table, as in {name} = {{ signal = value }}")
         for signal in values:
             if signal not in measurable:
                 raise InputError(
-                    f"[implementation] {name} of unknown signal {quoted(signal)}; measured can be {alike(signal, measurable)}"
+                    f"[implementation] {name}: unknown signal {quoted(signal)}; measurable are {alike(signal, measurable)}"
                 )
         values_by_key[name] = {
             signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
@@ -317,15 +317,15 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
         frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
         if not SLOWEST_BODY <= frequency <= FASTEST_BODY:
             doubts.append(
-                f"the body's natural frequency is about {about(frequency)} Hz; are sprung_mass and stiffness in kg and N/m?"
+                f"the body's natural frequency is about {about(frequency)} Hz; check that sprung_mass is in kg and stiffness in N/m"
             )
         elif ratio > FIRMEST_BODY:
-            doubts.append(f"the body's damping ratio is about {about(ratio)}; is the damping in N s/m?")
+            doubts.append(f"the body's damping ratio is about {about(ratio)}; check that the damping is in N s/m")
     for name, text in limits.written.items():
         if "suspension_stroke" in name and float(text) > LONGEST_STROKE:
-            doubts.append(f"{name} is {text} m; is it in m?")
+            doubts.append(f"{name} is {text} m; check that its value is in m")
         elif "stop_stiffness" in name and not text.startswith(("[", "table")) and float(text) < SOFTEST_STOP:
-            doubts.append(f"{name} is {text} N/m; is it in N/m?")
+            doubts.append(f"{name} is {text} N/m; check that its value is in N/m")
     return doubts
 
 
@@ -338,11 +338,11 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     period, delay = implementation.sample_period, implementation.delay
     steps = 1 if period is None else round(period / timestep)
     if period is not None and (steps < 1 or abs(steps * timestep / period - 1) > 1e-9):
-        raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep, {timestep:g} s; give a multiple")
+        raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep {timestep:g} s; give a multiple")
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)}, {delay * steps * timestep:g} s, is not a multiple of the timestep, {timestep:g} s, but "
-            f"forces change only between steps; give a multiple of {timestep:g} s or a smaller timestep"
+            f"delay = {samples(delay)} = {delay * steps * timestep:g} s is not a multiple of the timestep {timestep:g} s, but "
+            f"forces change only between timesteps; give a multiple of {timestep:g} s, or a smaller timestep"
         )
     return steps
 
@@ -364,6 +364,6 @@ def check_period(name: str, period: float | None, implementation: Implementation
     """
     if period is not None and implementation.sample_period != period:
         raise InputError(
-            f"[controllers.{name}] has a sample period of {period!r} s of its own, and [implementation] says "
+            f"[controllers.{name}] has the sample period {period!r} s, but [implementation] has "
             f"{implementation.sample_period or 'none'}; give [implementation] sample_period = {period!r}"
         )

@@ -59,7 +59,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     read_text(vehicle.kind.mjcf, "MJCF", GIVE)
     spec = _drawn(vehicle)
     if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: names with {FITTED} are reserved; rename the actuator {taken[0]!r}")
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
@@ -132,8 +132,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
         if absent := [name for name in names if name not in suspensions]:
             raise InputError(
-                f"MJCF {vehicle.kind.mjcf}: has no tendon {', no tendon '.join(map(repr, absent))}, whose suspension "
-                "[limits] suspension_stroke is to stop; add what is missing, or omit the stroke"
+                f"MJCF {vehicle.kind.mjcf}: it has no tendon {', no tendon '.join(map(repr, absent))}, but [limits] "
+                "suspension_stroke limits the travel of this suspension; add what is missing, or omit suspension_stroke"
             )
         from models.suspension.curve_actuators import add_pieces
 
@@ -210,14 +210,14 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = len(_inputs(model))
     if actuators != len(vehicle.linear_model.inputs):
         raise InputError(
-            f"MJCF {kind.mjcf}: has {actuators} actuator(s), and the equations {len(vehicle.linear_model.inputs)}; give as many"
+            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; give as many"
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
     joints = {model.joint(i).name for i in range(model.njnt)}
     missing += [f"joint {load.joint!r}" for load in kind.loads if load.joint not in joints]
     if missing:
-        raise InputError(f"MJCF {kind.mjcf}: has no {', no '.join(missing)}, which the equations name; add what is missing")
+        raise InputError(f"MJCF {kind.mjcf}: it has no {', no '.join(missing)}, which the equations use; add what is missing")
 
 
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -232,11 +232,11 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
         raise InputError(
-            f"{where}: its actuators are {', '.join(map(repr, actuators))}, and the inputs of the equations "
-            f"{', '.join(map(repr, vehicle.linear_model.inputs))}; name them alike, in the same order"
+            f"{where}: the actuators are {', '.join(map(repr, actuators))}, but linear_model has the inputs "
+            f"{', '.join(map(repr, vehicle.linear_model.inputs))}; use the same names in the same order"
         )
     if model.nq != model.nv:
-        raise InputError(f"{where}: has a free or a ball joint, whose angles are not coordinates; use slide and hinge joints")
+        raise InputError(f"{where}: free and ball joints are not allowed; use slide and hinge joints")
     for name in vehicle.linear_model.outputs:
         for part in vehicle.kind.combined.get(name, {name: 1.0}):
             sensor = model.sensor(part)
@@ -244,15 +244,15 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             along = sensor.user[:count]
             if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
                 raise InputError(
-                    f"{where}: sensor {part!r} has {count} number(s), and user = {quoted(along)} is not a direction along "
-                    'which to read them; give as many, as in user="0 0 1", and <size nuser_sensor="3"/>'
+                    f"{where}: sensor {part!r} has {count} component(s), but user = {quoted(along)} is not a direction with "
+                    f'{count} component(s); give one, as in user="0 0 1", and <size nuser_sensor="3"/>'
                 )
     data = mujoco.MjData(model)
     with quiet():
         mujoco.mj_forward(model, data)
     for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
         if not np.all(np.isfinite(values)):
-            raise InputError(f"{where}: its {what}s at qpos = 0 are not finite; correct the MJCF or its write_mjcf")
+            raise InputError(f"{where}: the {what}s at qpos = 0 are not finite; correct the MJCF or write_mjcf")
     _check_hubs(vehicle, model)
 
 
@@ -276,8 +276,8 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         moved = read(wheel.tyre_deflection) - rest
         if not abs(moved + LOWEST_HUB) < 1e-6:
             raise InputError(
-                f"MJCF {kind.mjcf}: where {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
-                f"{moved:.4g} m, not by -{LOWEST_HUB}; give a hub that is at least so high above its road at rest"
+                f"MJCF {kind.mjcf}: if {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
+                f"{moved:.4g} m, not by -{LOWEST_HUB} m; place the hub at least {LOWEST_HUB} m above the road at rest"
             )
 
 

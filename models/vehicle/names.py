@@ -23,11 +23,11 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
         InputError: the name is taken, too long, or has other characters.
     """
     if name in taken or name == "all":
-        raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
+        raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
     if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
-            f"{where} a controller's name has letters, digits, '_' and '-' only, at most {LONGEST_NAME} bytes of UTF-8, and no "
-            "'-' first, as an option has"
+            f"{where} the controller's name is not allowed; use letters, digits, '_' and '-', without '-' at the beginning, and "
+            f"at most {LONGEST_NAME} bytes of UTF-8"
         )
 
 
@@ -41,8 +41,8 @@ ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat
 CLASSES = "ABCDEFGH"  # of ISO 8608
 BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
 ROAD_SYNTAX = (
-    f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2; or a file (.csv, "
-    ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm; or the drive file of a rig, such as "
+    f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2, or a file (.csv, "
+    ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm, or the drive file of a rig, such as "
     "rig:file=drive.csv. Add loads with +, such as bump + brake:g=0.5"
 )
 SETTINGS = r"(?P<settings>(:\w+=[^:]*|:[^:\\/]*)*)"
@@ -62,7 +62,7 @@ LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
 PLUS = " + "  # between the loads of a description
 LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
-    "payload:mass=100:x=-1.2; or a .csv file"
+    "payload:mass=100:x=-1.2, or a .csv file"
 )
 NAMED = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILED = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"

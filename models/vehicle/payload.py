@@ -46,8 +46,8 @@ def laden(
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
     if about_rest:
         raise InputError(
-            f"[payload] sinks the car, but the curve {about_rest[0]} is about its rest without payload; give the curve about the "
-            "laden rest, and the laden mass and inertias in [parameters]"
+            f"[payload] changes the ride height, but the curve {about_rest[0]} begins at the height without payload; omit "
+            "[payload], and give the curve, mass and inertias of the laden car"
         )
     for where, given in named.items():
         mass, place = _read(where, given, model)
@@ -75,7 +75,7 @@ def laden(
         with error_in(f"[payload] {part.ratio}:"):
             laden_kind = replace(laden_kind, ratios={**laden_kind.ratios, part.ratio: table.about(rest)})
         heavier[part.ratio] = laden_kind.ratios[part.ratio].at_rest
-    with error_in("[payload]: with it"):
+    with error_in("[payload]: with this payload,"):
         checked = laden_kind.check(heavier)
     return checked, _sunk(kind, model, load, limits, parameters, sunk), laden_kind
 
@@ -85,16 +85,16 @@ def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[flo
     for key, value in given.items():
         if key == "y":
             raise InputError(
-                f"{where} y: the mass of a vehicle lies on its centre line; use --load payload:y=..., which adds weight only"
+                f"{where} y is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
             )
         if key not in KEYS:
-            raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
+            raise InputError(f"{where} unknown key {key!r}; known keys: {listing(KEYS)}")
         if key in PLACE:
             number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
         if key in PLACE and value and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {key}: this vehicle does not pitch, so only the mass matters; omit {key}")
+            raise InputError(f"{where} {key} has no effect, because this vehicle does not pitch; omit {key}")
     if "mass" not in given:
-        raise InputError(f"{where} mass is missing; give it in kg")
+        raise InputError(f"{where} mass is missing; give mass in kg")
     with error_in(where):
         mass = MASS.check(given["mass"])
     return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
@@ -123,7 +123,7 @@ def _sunk(
         left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(
-                f"[payload] moves {part.deflection} by {stretched:.3g} m at rest, beyond the {short} stroke of "
+                f"[payload] moves {part.deflection} by {stretched:.3g} m, beyond the {short} stroke of "
                 f"{getattr(pair, short).stroke:g} m; give less mass, or another place"
             )
         strokes = StopPair(*(left[side] if side in pair.sides else None for side in SIDES))

@@ -71,15 +71,15 @@ def read_sums(section: Mapping[str, Any], outputs: Sequence[str]) -> tuple[Weigh
         if not is_sum(given):
             continue
         if name in outputs or name == ROAD:
-            raise InputError(f"{where} already names a {'signal' if name in outputs else 'filter'}; give the sum another name")
+            raise InputError(f"{where} is the name of a {'signal' if name in outputs else 'filter'}; give the sum another name")
         terms, weight = given["sum"], given.get("weight", 1.0)
         if not isinstance(terms, Mapping) or not terms or not all(is_number(one) and one for one in terms.values()):
             raise InputError(
-                f"{where} sum = {quoted(terms)} is not allowed; give factors other than 0 by signal, as in sum = "
+                f"{where} sum = {quoted(terms)} is not allowed; give signals with factors other than 0, as in sum = "
                 f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
             )
         if unknown := [signal for signal in terms if signal not in outputs]:
-            raise InputError(f"{where} sums the unknown signal {unknown[0]!r}; this vehicle has {listing(outputs)}")
+            raise InputError(f"{where} sums the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
         check_weight(where, weight)
         rest = {key: value for key, value in given.items() if key != "sum"}
         shaped = _filter(where, rest, integrates=True) if rest.keys() - {"weight"} else None
@@ -112,20 +112,20 @@ def read_performance(
             continue
         if signal == ROAD:
             if not isinstance(given, Mapping) or "weight" in given:
-                raise InputError(f"{where} = {quoted(given)} is not a filter; give a numerator and a denominator, and no weight")
+                raise InputError(f"{where} = {quoted(given)} is not a filter; give numerator and denominator, without weight")
             road_filter = _filter(where, given, integrates=False)
             continue
         if signal not in outputs:
             raise InputError(
-                f"[performance] unknown signal {signal!r}; this vehicle has {listing(outputs)}; {ROAD!r} is the road's filter; "
-                "a sum of signals has a name of its own"
+                f"[performance] unknown signal {signal!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
+                "or a new name for a sum of signals"
             )
         if isinstance(given, Mapping):
             filters[signal], weight = _filter(where, given, integrates=True), given.get("weight", 1.0)
         check_weight(where, weight)
         weights[signal] = float(weight)
     if not any(weights.values()) and not sums:
-        raise InputError(f"[performance] has no weight above 0; give at least one, to: {listing(outputs)}")
+        raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {listing(outputs)}")
     return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
 
 
@@ -134,7 +134,7 @@ def check_weight(where: str, weight: Any) -> None:
     if not is_finite(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
         raise InputError(
             f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
-            'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+            'or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
         )
 
 
@@ -209,7 +209,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
     from models.suspension.motion_ratio import ratio_table
 
     if kind.static_loads is no_loads:
-        raise InputError(f"[curves] {min(names)}: this vehicle type has no static_loads, which preload its springs; add them")
+        raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
     for part in kind.suspensions:
         if part.ratio in names and not part.damping:
             raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set that of its Suspension")
@@ -285,7 +285,7 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
         notes += [f"{name}: {curve.note}"] if curve.note else []
         if carried and load is not None and abs(carried - load) > CARRIED * load:
             notes.append(
-                f"{name}: its table carries {round(carried, 1):g} N at rest, and the static load is {round(load, 1):g} N, a "
+                f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "
                 f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
             )
     return notes
@@ -302,8 +302,8 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
             end = float(max(sign * table.x))
             if stop.stroke > end:
                 begins = f"the {side} stop begins at {sign * round(stop.stroke, 4):g} m at the wheel"
-                said = f"{part.ratio}: its table ends at {sign * end:g} m, and {begins}; the ratio is constant beyond the table"
-                doubts[f"{said}: extend it to the stop"] = None
+                said = f"{part.ratio}: its table ends at {sign * end:g} m, but {begins}; the ratio is constant beyond the table"
+                doubts[f"{said}, so extend the table to the stop"] = None
     return list(doubts)
 
 
@@ -411,7 +411,7 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
         raise InputError(f"{where} loads = {quoted(given)} is not a table; give {{ load = value that equals 1 m/s of road }}")
     for name, value in given.items():
         if name not in loads:
-            raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
+            raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has the loads {listing(loads)}")
         unit = "N" if name.startswith(HEAVE_LOAD.name) else "N m"
         number_within(f"{where} loads: {name}", value, SMALLEST, LARGEST, unit)
     return tuple((name, float(value)) for name, value in given.items())
@@ -430,7 +430,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     value = flag_within(where, entry, "sampled", usual)
     if value and period is None:
         raise InputError(
-            f"{where} has sampled = true, but [implementation] gives no sample period; give it, as in sample_period = 0.01, "
-            "seconds, or omit sampled"
+            f"{where} has sampled = true, but [implementation] gives no sample period; give it in seconds, as in "
+            "sample_period = 0.01, or omit sampled"
         )
     return value

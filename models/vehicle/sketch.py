@@ -63,7 +63,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
     parts = [
         ("spring", symbol("k", one.stiffness, "stiffness", ending=one.ending)),
         ("damper", symbol("c", one.damping, "damping", ending=one.ending)),
-        ("adjustable damper" if one.force in vehicle.dampers else "force", "u" if one.force else ""),
+        ("semi-active damper" if one.force in vehicle.dampers else "force", "u" if one.force else ""),
     ]
     return Strut(
         place,

@@ -55,16 +55,16 @@ def read_weighted_errors(
     weights = {}
     for name, table in given.items():
         if name not in allowed:
-            raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
+            raise InputError(f"{where} tolerance: unknown key {quoted(name)}; give {listing(allowed)} ({FORCE} is all forces)")
         if set(table) != {"weight"}:
             raise InputError(
-                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give the largest relative "
-                "error (0.1 for 10 %), or { weight = { numerator = [...], denominator = [...] } }, descending powers of s"
+                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give the largest relative error (0.1 for "
+                "10 %), or { weight = { numerator = [...], denominator = [...] } } with coefficients in descending powers of s"
             )
         weights[name] = _weight(f"{where} tolerance of {name}", table["weight"])
     names = {*weights, *others}
     if FORCE in names and any(force in names for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance names both {FORCE}, which is all forces, and a single force; give one or the other")
+        raise InputError(f"{where} tolerance has both {FORCE}, which means all forces, and a single force; give one of the two")
     return WeightedErrors(weights)
 
 
@@ -72,11 +72,9 @@ def _weight(where: str, given: Any) -> Filter:
     if isinstance(given, Mapping):
         for key in given:
             if key not in (*POLYNOMIALS, "filter"):
-                raise InputError(
-                    f"{where} weight has the key {quoted(key)}; give a numerator and a denominator, which hold all of the weight"
-                )
+                raise InputError(f"{where} weight has the unknown key {quoted(key)}; give only numerator and denominator")
         return read_filter(where, given)
-    more = ", or a numerator and a denominator, coefficients in descending powers of s"
+    more = ", or numerator and denominator as coefficients in descending powers of s"
     return Filter((((number_within(f"{where} weight", given, SMALLEST, LARGEST, more=more),), (1.0,)),))
 
 

@@ -200,9 +200,9 @@ def test_sentences_fill_a_terminal():
         lines = some_sentences(sentences, ["other"] * others)
         assert lines[0].startswith("one one")
         assert sum(line in ("two", "three") for line in lines) == kept - 1
-        assert (lines[-1] == "-v has 2 more sentences") == (kept == 1)
+        assert (lines[-1] == "-v prints 2 more sentences") == (kept == 1)
         assert others > 22 or len(lines) + others <= LINES
-    assert some_sentences(["one", "two", "three"], ["other"] * 22) == ["one", "-v has 2 more sentences"]
+    assert some_sentences(["one", "two", "three"], ["other"] * 22) == ["one", "-v prints 2 more sentences"]
     assert some_sentences([], ["other"]) == []
 
 

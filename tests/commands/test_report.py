@@ -140,7 +140,7 @@ BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:ste
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep, 0\.002 s"),
+        ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep 0\.002 s"),
         ("--speed 9", "--speed is of a road, and none is given"),
         ("--class B --road flat", "not both"),
         ("--vehicle half_car --load corner:g=0.3", "rolls"),

@@ -32,7 +32,7 @@ def test_a_shell_reads_it_back():
 def test_names_of_controllers(name):
     """A controller whose name would be an option, or no word, is refused."""
     text = (HERE / "quarter_car.toml").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match=r"a controller's name has letters, digits, '_' and '-' only, .* no '-' first"):
+    with pytest.raises(InputError, match=r"use letters, digits, '_' and '-', without '-' at the beginning"):
         parse_vehicle(f'{text}\n[controllers."{name}"]\nmeasured = ["sprung_velocity"]')
 
 

@@ -332,7 +332,9 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
         python = read_vehicle(place).controllers["sky"].python
         assert python is not None
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
-    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of other); give a file next to it"):
+    with refused(
+        "--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a file next to it"
+    ):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
 
 
@@ -342,7 +344,7 @@ def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
     monkeypatch.chdir(tmp_path)
     rest = read_vehicle("quarter_car").text.partition("[controllers")[0]
     Path("car.toml").write_text('controllers = { mine = { measured = ["sprung_velocity"] } }\n' + rest)
-    with refused("the vehicle file has controllers = { ... }", "write each as [controllers.NAME]"):
+    with refused("added to controllers = { ... }", "write each one as [controllers.NAME]"):
         main(["--vehicle", "car.toml", "--controller", "mine", *option])
 
 

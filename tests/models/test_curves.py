@@ -289,7 +289,7 @@ def test_a_table_that_is_none(table, said):
 def test_what_curves_cannot_stand_in_for():
     """A curve of neither a stiffness nor a damping, of one that is also a number, or of a million points is refused."""
     text = curved_text(suspension_damping=DIGRESSIVE)
-    with pytest.raises(InputError, match="suspension_damping is in \\[parameters\\] and in \\[curves\\]"):
+    with pytest.raises(InputError, match="suspension_damping is in both \\[parameters\\] and \\[curves\\]"):
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
     with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
         with_curves(sprung_mass=DIGRESSIVE)
@@ -442,7 +442,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
     (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
-    with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can replace it"):
+    with pytest.raises(InputError, match="'suspension' has the value 400, but c_strut is 1750, so a curve cannot"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 
@@ -452,7 +452,7 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
     smooth = with_curves(suspension_damping=DIGRESSIVE)
     (line,) = ideal_lines(smooth, [design(smooth, "passive")])
-    assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (elsewhere 666.7 to 1750)."
+    assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (slope of the whole curve: 666.7 to 1750)."
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"

@@ -305,23 +305,23 @@ def test_no_second_witness_with_filters(tmp_path):
 
 BAD = [
     ("unknown name", 'sprung_acceleration = { filter = "iso2631_wz" }', ["'iso2631_wz'", '"iso2631_wk"', "numerator"]),
-    ("name and numerator", 'sprung_acceleration = { filter = "iso2631_wk", numerator = [1.0] }', ["by name and a numerator"]),
+    ("name and numerator", 'sprung_acceleration = { filter = "iso2631_wk", numerator = [1.0] }', ["both filter and numerator"]),
     ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is not a filter", "descending powers of s"]),
     ("unknown key", 'sprung_acceleration = { filter = "iso2631_wk", gain = 2 }', ["unknown key 'gain'", "weight"]),
     ("improper", "sprung_acceleration = { numerator = [1.0, 0.0], denominator = [2.0] }", ["degree 1", "grows without limit"]),
-    ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["not stable"]),
+    ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["is unstable"]),
     ("integrators", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }", ["two roots at 0"]),
-    ("zero denominator", "sprung_acceleration = { numerator = [1.0], denominator = [0.0, 0.0] }", ["denominator is zero"]),
-    ("zero numerator", "sprung_acceleration = { numerator = [0.0], denominator = [1.0] }", ["numerator is zero"]),
+    ("zero denominator", "sprung_acceleration = { numerator = [1.0], denominator = [0.0, 0.0] }", ["denominator is 0"]),
+    ("zero numerator", "sprung_acceleration = { numerator = [0.0], denominator = [1.0] }", ["numerator is 0"]),
     ("too many", f"sprung_acceleration = {{ numerator = [1.0], denominator = {[1.0] * 14} }}", ["degree 13", "at most 12"]),
     ("nan", "sprung_acceleration = { numerator = [nan], denominator = [1.0, 1.0] }", ["coefficient nan"]),
     ("huge", "sprung_acceleration = { numerator = [1e99], denominator = [1.0, 1.0] }", ["coefficient 1e+99"]),
-    ("fast", "sprung_acceleration = { numerator = [1.0], denominator = [1e-9, 1.0] }", ["pole of 1e+09 rad/s"]),
-    ("loud", "sprung_acceleration = { numerator = [1e30], denominator = [1.0, 1.0] }", ["its gain is"]),
+    ("fast", "sprung_acceleration = { numerator = [1.0], denominator = [1e-9, 1.0] }", ["pole at 1e+09 rad/s"]),
+    ("loud", "sprung_acceleration = { numerator = [1e30], denominator = [1.0, 1.0] }", ["largest gain of the filter is"]),
     ("bad weight", 'sprung_acceleration = { weight = -1, filter = "iso2631_wk" }', ["= -1 is not allowed", "weight"]),
     ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a filter"]),
-    ("road with a weight", "road = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] }", ["no weight"]),
-    ("road, unstable", "road = { numerator = [1.0], denominator = [-1.0, 1.0] }", ["[performance] road", "not stable"]),
+    ("road with a weight", "road = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] }", ["without weight"]),
+    ("road, unstable", "road = { numerator = [1.0], denominator = [-1.0, 1.0] }", ["[performance] road", "is unstable"]),
 ]
 
 
@@ -335,7 +335,7 @@ def test_bad_filters(line, expected):
 def test_stability_is_decided_exactly():
     """Routh's array decides in rational numbers: damping of 1e-14 is stable, none is not, and leading zeros mean nothing."""
     Filter((((1.0,), (0.0, 1.0, 1e-14, 4.0)),))
-    with pytest.raises(InputError, match="not stable"):
+    with pytest.raises(InputError, match="is unstable"):
         Filter((((1.0,), (1.0, 1e-14, 4.0, 5e-14)),))  # (s^2 + 4) (s + 1e-14) has 4e-14
     for seed in range(40):
         rng = np.random.default_rng([6, seed])
@@ -344,5 +344,5 @@ def test_stability_is_decided_exactly():
         if np.all(roots.real < 0):
             Filter((((1.0,), below),))
         else:
-            with pytest.raises(InputError, match="not stable"):
+            with pytest.raises(InputError, match="is unstable"):
                 Filter((((1.0,), below),))

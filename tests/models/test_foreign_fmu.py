@@ -156,10 +156,10 @@ def test_names_of_other_tools(old, new, names, library, tmp_path):
     [
         ("2.0", "1.0", "Failed to validate modelDescription.xml"),
         ("CoSimulation", "ModelExchange", "it has FMI 2.0, no co-simulation; give an FMU of FMI 2 or 3"),
-        ('"m/s"', '"mm/s"', "the unit of its sprung_velocity is 'mm/s'; export it in m/s"),
-        ('"N"', '"kN"', "the unit of its control_force is 'kN'; export it in N"),
-        ('"sprung_velocity"', '"speed"', "its inputs are speed, suspension_deflection, and the controller measures"),
-        ('"control_force"', '"torque"', "its outputs are torque; name its forces control_force"),
+        ('"m/s"', '"mm/s"', "sprung_velocity of the FMU has the unit 'mm/s'; export it in m/s"),
+        ('"N"', '"kN"', "control_force of the FMU has the unit 'kN'; export it in N"),
+        ('"sprung_velocity"', '"speed"', "the inputs speed, suspension_deflection, but the controller measures"),
+        ('"control_force"', '"torque"', "its outputs are torque; call the forces control_force"),
         ("linux64", "other64", "the FMU has binaries for other64, and none for linux64; export it for linux64"),
         ("</fmiModelDescription>", "", "give an FMU of FMI 2 or 3 for co-simulation"),
         ("", "", "File is not a zip file; give an FMU of FMI 2 or 3 for co-simulation"),
@@ -179,7 +179,7 @@ def test_without_fmpy(tmp_path, monkeypatch):
     """Without FMPy an FMU is refused in one line that says how to install it."""
     (tmp_path / "their.fmu").write_bytes(b"")
     monkeypatch.setattr(foreign_fmu, "find_spec", lambda _: None)
-    with refused("controller 'theirs', FMU their.fmu: an FMU needs FMPy; pip install 'roadproof[fmi]'"):
+    with refused("controller 'theirs', FMU their.fmu: an FMU needs FMPy; run pip install 'roadproof[fmi]'"):
         called(tmp_path)
 
 

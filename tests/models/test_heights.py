@@ -159,9 +159,9 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
     ("study = true\n", "", "'sprung_displacement' is a height above a flat datum, .* give study = true"),
     ('"sprung_displacement", "sprung_velocity", "unsprung', '"tyre_deflection", "sprung_velocity", "suspension_deflection"]#',
      "study = true, but measures no height"),
-    ("gain = ", 'order = "full"\n#', "only a law that is given measures heights"),
+    ("gain = ", 'order = "full"\n#', "only a given law may measure heights"),
     ("study = true", "study = 1", "study = 1 is not allowed; give true or false"),
-    ("suspension_deflection = 0.1", f"suspension_deflection = {INTEGRAL}", "leave no integral"),
+    ("suspension_deflection = 0.1", f"suspension_deflection = {INTEGRAL}", "cannot return the integral to zero"),
 ])  # fmt: skip
 def test_refused(old, new, said):
     """Heights need the key, the key needs heights, and neither designs nor integrals go with them: one line each."""

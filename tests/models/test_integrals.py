@@ -195,25 +195,25 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
         ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force changes"),
         ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
         ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no state for it"),
-        ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "not stable by itself"),
+        ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "law alone is not"),
         (
             [PI],
             '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\ntolerance = { force = { weight = 0.1 } }\n',
-            "is weighted by frequency acts ahead of it",
+            "depends on frequency",
         ),
-        ([PI], "[implementation]\nsample_period = 0.005\nsampled = true\n", "only that sum returns to zero"),
+        ([PI], "[implementation]\nsample_period = 0.005\nsampled = true\n", "returns only the sum of its samples to zero"),
         (
             [PI],
             '[implementation]\nsample_period = 0.005\nnoise = { suspension_deflection = 1e-3 }\n[controllers.q]\ndesign = "lqg"\n'
             'measured = ["suspension_deflection"]\n',
-            "integrates the noise of suspension_deflection",
+            "integrate the noise on suspension_deflection",
         ),
         (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is cancelled by a zero"),
-        (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: its denominator has a root"),
+        (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: the filter is unstable: a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
-        (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),
+        (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give signals with factors"),
         (["height = { sum = { tyre_deflection = 1.0 }, gain = 1 }"], "", "height unknown key 'gain'"),
-        (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "already names a signal; give the sum another name"),
+        (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "is the name of a signal; give the sum another name"),
     ],
 )
 def test_refused(lines, more, said):

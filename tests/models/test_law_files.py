@@ -90,17 +90,17 @@ def test_a_sample_period_comes_with_it(tmp_path):
         (LAW | {"Ts": 0.004}, slow, 0.004),
     ):
         assert law_in(tmp_path, mat(variables), more).sample_period == period
-    with pytest.raises(InputError, match=r"has a sample period of 0.002 s, and sample_period = 0.004 is another"):
+    with pytest.raises(InputError, match=r"its period is 0.002 s, but sample_period = 0.004; omit"):
         law_in(tmp_path, mat(LAW | {"Ts": 0.002}), slow)
 
 
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"E": np.array([[2.0, 0.0], [0.0, 1.0]])}, "has an E that is not the identity"),
-        ({"InputDelay": np.array([[0.0, 0.1]])}, "has InputDelay above 0, but a law has no delay"),
-        ({"OutputDelay": 0.1, "IODelay": np.array([[0.1, 0.0]])}, "has OutputDelay, IODelay above 0"),
-        ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes'; give seconds"),
+        ({"E": np.array([[2.0, 0.0], [0.0, 1.0]])}, "E is not the identity"),
+        ({"InputDelay": np.array([[0.0, 0.1]])}, "InputDelay is above 0, but a law has no delay"),
+        ({"OutputDelay": 0.1, "IODelay": np.array([[0.1, 0.0]])}, "OutputDelay, IODelay is above 0"),
+        ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes'; in MATLAB, convert to seconds"),
         ({"A": "ab"}, "A is text"),
     ],
 )
@@ -143,7 +143,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     file = vehicle_with(tmp_path, mat(LAW))
     monkeypatch.chdir(tmp_path)
     for folder in (None, tmp_path):
-        with pytest.raises(InputError, match="its file must be next to a vehicle file, but this text is not from a file"):
+        with pytest.raises(InputError, match="file needs a vehicle file next to it, but this vehicle is read from text"):
             parse_vehicle(file.read_text(), folder=folder)
 
 
@@ -166,24 +166,24 @@ def test_names_of_text_books(tmp_path):
 @pytest.mark.parametrize(
     ("variables", "said"),
     [
-        (LAW | {"Ak": A}, "the file has Ak and A; keep one of them"),
-        ({"num": 1.0}, "has a transfer function without den; give num and den"),
-        ({"num": np.ones(3), "den": np.ones(2)}, "num has 3 coefficients and den 2"),
+        (LAW | {"Ak": A}, "the file has both Ak and A; keep one of them"),
+        ({"num": 1.0}, "has a transfer function without den; give only num and den"),
+        ({"num": np.ones(3), "den": np.ones(2)}, "num has 3 coefficients, but den only 2"),
         ({"A": A}, "B, C, D is missing in the file"),
-        (LAW | {"K": 1.0}, "the file has K and A, B, C, D; keep"),
-        ({"one": LAW, "two": LAW}, "contains more than one controller, in the struct one and the struct two"),
-        ({"x": 1.0}, "contains neither A, B, C, D nor K, but x:"),
-        ({}, "contains neither A, B, C, D nor K, but nothing:"),
+        (LAW | {"K": 1.0}, "the file has both K and A, B, C, D; keep"),
+        ({"one": LAW, "two": LAW}, "contains several controllers, in the struct one and the struct two"),
+        ({"x": 1.0}, "contains x, but neither A, B, C, D nor K"),
+        ({}, "contains nothing, but neither A, B, C, D nor K"),
         (LAW | {"A": 1j * A}, "A has complex entries"),
         (LAW | {"B": B * np.nan}, "B has an entry that is not finite"),
         (LAW | {"A": "text"}, "A is text"),
         (LAW | {"A": CELLS}, "A is a cell array"),
         ({"K": np.ones((2, 2, 2))}, "K has shape (2, 2, 2); expected a matrix"),
-        (LAW | {"B": B.T[:1]}, "give 2 row(s) of 2 number(s), as A has 2 row(s)"),
-        (LAW | {"A": -np.eye(201), "B": np.ones((201, 2)), "C": np.ones((1, 201))}, "a controller of 201 states is too large"),
+        (LAW | {"B": B.T[:1]}, "give 2 row(s) of 2 number(s), because A has 2 row(s)"),
+        (LAW | {"A": -np.eye(201), "B": np.ones((201, 2)), "C": np.ones((1, 201))}, "a controller with 201 states is too large"),
         (LAW | {"A": 1e300 * A}, "A has an entry beyond 1e+15"),
         (LAW | {"Ts": -1.0}, "Ts = [[-1.0]] is not a sample period"),
-        (LAW | {"Ts": 0.1, "sample_period": 0.2}, "are two sample periods"),
+        (LAW | {"Ts": 0.1, "sample_period": 0.2}, "two different sample periods"),
     ],
 )
 def test_a_file_without_a_controller(tmp_path, variables, said):
@@ -206,7 +206,7 @@ HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
     [
         (
             HEADER + b"\x0e\0\0\0" + len(OBJECT).to_bytes(4, "little") + OBJECT,
-            "K is a MATLAB object of class ss, which only MATLAB reads; if",
+            "K is a MATLAB object of class ss, which only MATLAB can read; for",
         ),
         (
             b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(500),
@@ -231,7 +231,7 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
         ('"other.mat"', "there is no such file"),
         ('"."', "is a folder"),
         ("3", "is not the name of a file"),
-        ('"mine.mat"\ngain = [[1.0, 2.0]]', "has a file and gain"),
+        ('"mine.mat"\ngain = [[1.0, 2.0]]', "has both file and gain"),
     ],
 )
 def test_a_file_that_is_not_there(tmp_path, file, said):

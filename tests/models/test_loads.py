@@ -315,7 +315,7 @@ def test_a_file_is_its_numbers(tmp_path):
     ("text", "words"),
     [
         ("", ["is empty", "time [s]"]),
-        ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s with heave", "begin at 0 s"]),
+        ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s, but heave is not 0", "begin at 0 s"]),
         ("time, pitch\n0, 0\n1, 1\n", ["column 1, 'time', has no unit (allowed: ms, s); write the heading time [s]"]),
         ("time [s], pitch [N]\n0, 0\n1, 1\n", ["column 2, 'pitch [N]', has the unit 'N' (allowed: N m, kN m"]),
         (
@@ -323,12 +323,12 @@ def test_a_file_is_its_numbers(tmp_path):
             ["column 2 is called 'yaw [N m]', which is not one of heave (positive: up), pitch (positive: nose down)"],
         ),
         ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["two columns are called 'pitch'; remove one"]),
-        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["columns are pitch, roll"]),
+        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["only the columns pitch, roll"]),
         ("time [s], pitch [N m]\n0, 0\n1, nan\n", ["line 3, column 2: 'nan' is not a finite number"]),
         ("time [s], pitch [N m]\n0, 0\n1, x\n", ["line 3, column 2: 'x' is not a finite number"]),
         ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 column(s), but line 2 has 2"]),
-        ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "1 s, is not after", "sort"]),
-        ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 rows", "to 20000"]),
+        ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "time 1 s is not after", "sort"]),
+        ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 row(s)", "to 20000"]),
     ],
 )
 def test_bad_files_are_refused(text, words):

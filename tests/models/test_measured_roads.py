@@ -293,7 +293,7 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
     (tmp_path / "roads.csv").write_text("0,0\n1,0\n2,0\n3,0\n40,0\n")
     (tmp_path / "gap.toml").write_text(text.replace(f'"{UNEVEN}"', '"roads.csv"'))
     assert campaign([str(tmp_path / "gap.toml"), "--results", str(tmp_path / "gap")]) == 0
-    assert "remark: road 'roads.csv': no point lies between 3 m and 40 m" in capsys.readouterr().err
+    assert "remark: road 'roads.csv': there is no point between 3 m and 40 m" in capsys.readouterr().err
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])
@@ -303,8 +303,8 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("0,0\n1,0\n2,1e5\n3,0\n", "3 m in steps of 1 m, heights from 0 to 1e+05 m: an rms slope of 8.16e+04, steeper"),
-        ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m: an rms slope of 18.7, steeper than any"),
+        ("0,0\n1,0\n2,1e5\n3,0\n", "3 m long in steps of 1 m, heights from 0 to 1e+05 m. Its rms slope of 8.16e+04 is steeper"),
+        ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m. Its rms slope of 18.7 is steeper than any"),
         ("0,0\n1,20\n2,-10\n3,0\n", "if distances are in km, or heights in mm, add :distance_unit=km or :height_unit=mm"),
     ],
 )
@@ -322,10 +322,10 @@ def test_a_mountain_road_is_driven(tmp_path, capsys):
     (tmp_path / "pass.csv").write_text("\n".join(["distance [m],altitude [m]", *rows, "9951,8000"]))
     arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
     assert main([*arguments, "--from", "9000", "-v", "--vehicle", "half_car", "--load", "brake:g=0.1"]) == 0
-    assert "no iri: points are 50 m apart, and ASTM E1926 defines it up to 0.3 m" in prose(capsys.readouterr().out)
+    assert "no iri: the road's points are 50 m apart, but ASTM E1926 allows at most 0.3 m" in prose(capsys.readouterr().out)
     with refused("steeper than any road"):
         main([*arguments, "--from", "9940"])
-    assert "no point lies" not in capsys.readouterr().err
+    assert "there is no point" not in capsys.readouterr().err
 
 
 def test_lines_need_two_points(tmp_path, capsys):
@@ -336,14 +336,14 @@ def test_lines_need_two_points(tmp_path, capsys):
     assert road.describe()["points"] == 3
     arguments = ["--controller", "passive", "--no-logs", "--brief", "--duration", "0.5", "--road"]
     assert main([*arguments, str(tmp_path / "flat.csv")]) == 0
-    assert "no point lies between 3 m and 40 m, where others are 1 m apart" in capsys.readouterr().err
+    assert "there is no point between 3 m and 40 m, but other points are 1 m apart" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "road.csv")]) == 0
     assert "remark" not in capsys.readouterr().err
     (tmp_path / "road.csv").write_text("distance [m],height [mm]\n0,0\n1,0.001\n2,0.04\n3,0.02\n12,0\n")  # heights in m
     assert main([*arguments, str(tmp_path / "road.csv")]) == 0
     assert "rms; no road is so smooth: check the units of heights" in capsys.readouterr().err
     (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
-    with refused("a smooth profile needs at least 4 points, and has 3"):
+    with refused("a smooth profile needs at least 4 points, but has 3"):
         choose_road("road.csv:from=30:join=smooth", tmp_path)
     with refused("gap from 3 m to 40 m"):
         choose_road("flat.csv:join=smooth", tmp_path)
@@ -406,10 +406,10 @@ CORNERS_OF_POSTS = tuple(end[1:] for end in CORNERS["full_car"])
     [
         (
             "road.dat",
-            "the file exists, but files '.dat' are not read; a .csv, .txt, .xlsx or .mat file has columns of distance and height",
+            "the file exists, but '.dat' files cannot be read (readable are .csv, .txt, .xlsx and .mat files with columns",
         ),
-        ("road", "the file exists, but its name has no ending; a .csv"),
-        ("drive.rsp", "rename or convert it; a file in RPC III (.rsp, .drv) is not read"),
+        ("road", "the file exists, but its name has no ending (readable are .csv"),
+        ("drive.rsp", "rename or convert the file; RPC III files (.rsp, .drv) cannot be read"),
     ],
 )
 def test_files_of_other_types(name, said, tmp_path):
@@ -419,7 +419,7 @@ def test_files_of_other_types(name, said, tmp_path):
         with refused(said):
             choose_road(text, tmp_path)
     (tmp_path / "folder").mkdir()
-    with refused("is a folder; give a file in it"):
+    with refused("); give a file in this folder"):
         choose_road("folder", tmp_path)
     with refused("unknown road 'none.dat'"):
         choose_road("none.dat", tmp_path)
@@ -452,12 +452,12 @@ def test_poly_line(tmp_path):
     assert profile.distance == pytest.approx([0, 1, 1.02, 1.031, 5])
     assert profile.heights == pytest.approx(np.array([[3.5, 9], [4, 10], [-100, -100], [50, 50], [0, 0]]) / 1e3)
     for old, new, said in (
-        ("'poly_line'", "'sine'", "ROAD_TYPE = 'sine' is not read"),
+        ("'poly_line'", "'sine'", "ROAD_TYPE = 'sine' cannot be read"),
         ("(XZ_DATA)", "", "has no table (XZ_DATA)"),
         ("1020 -100", "1020 x", "line 12, column 2: 'x' is not a finite number"),
         ("'mm'", "'furlong'", "has the unit 'furlong' (allowed: "),
         ("LENGTH = 'mm'", "", "has no LENGTH in [UNITS]"),
-        ("OFFSET = 0", "ROTATION_ANGLE_XY_PLANE = 90 $ degrees", "ROTATION_ANGLE_XY_PLANE = 90 turns the road"),
+        ("OFFSET = 0", "ROTATION_ANGLE_XY_PLANE = 90 $ degrees", "ROTATION_ANGLE_XY_PLANE = 90 rotates the road"),
     ):
         (tmp_path / "road.rdf").write_text(RDF.replace(old, new))
         with refused(said):
@@ -469,7 +469,7 @@ def test_a_step_and_distances(tmp_path):
     x, z = 478.0 + 0.25 * np.arange(40), np.cumsum(np.random.default_rng(1).normal(0, 0.003, (40, 2)), axis=0)
     for distance in (x, x / 0.3048):
         np.savetxt(tmp_path / "road.txt", np.column_stack([distance, z[:, 1]]), "%.4f")
-        with refused("a step was given, and there are distances"):
+        with refused("step is given, but the file has distances"):
             choose_road("road.txt:step=0.25", tmp_path)
     second = choose_road("road.txt:step=0.25:columns=2", tmp_path).profile
     rising = z + 0.1 * (x - x[0])[:, None]  # a steep hill

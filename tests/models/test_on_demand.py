@@ -124,7 +124,7 @@ def test_a_weight_given_in_python_names_it_too():
 def test_a_full_car_does_not_measure_it():
     """There the road's twist acts on the wheels as a displacement, which no loop is closed through."""
     text, wheel = read_vehicle("full_car").text, wheels("full_car")[0]
-    with pytest.raises(InputError, match=rf"'{wheel}' contains the road's height in addition to the state"):
+    with pytest.raises(InputError, match=rf"'{wheel}' depends on the road's height"):
         parse_vehicle(f'{text}\n[controllers.hub]\nmeasured = ["{wheel}"]\n')
 
 

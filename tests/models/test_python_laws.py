@@ -145,7 +145,7 @@ def test_a_function_is_the_law_of_its_file(tmp_path):
         ("def law(time, y): return -3.0 * y", r"law\(sample, state\) fails \(TypeError: .*'NoneType'\) at 0 s", "TypeError"),
         ("def law(t, y): return y", r"its force has shape \(6,\); expected \(1,\)", "InputError"),
         ("def law(t, y): exit()", None, ""),
-        ("def law(t, y): pass\nlaw.measured = ['nothing']", r"law.measured: unknown signal 'nothing'; it can measure", ""),
+        ("def law(t, y): pass\nlaw.measured = ['nothing']", r"law.measured: unknown signal 'nothing'; measurable are", ""),
     ],
 )
 def test_a_wrong_function_is_one_line(law, said, cause):
@@ -271,7 +271,7 @@ def test_documented_law_is_driven(tmp_path, capsys):
     car.write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + "\n" + entry, encoding="utf-8")
     assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--duration", "1", "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    assert "law in Python skyhook.py:step, told the road 0.5 s ahead" in said
+    assert "law in Python skyhook.py:step, with 0.5 s of road preview" in said
     assert "no linear claim (a law in Python)" in said
     assert "the exact linear response to the forces of the law" in said
     assert "the control law evaluated on the run's measurements: largest" in said
@@ -340,7 +340,7 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     [
         ("", "has no function 'step'"),
         ("step = 3", "has no function 'step'"),
-        ("def step(sample:", r"is not Python \('\(' was never closed, line 1\); correct it"),
+        ("def step(sample:", r"its code is not valid Python \('\(' was never closed, line 1\); correct it"),
         (
             "def step(sample, state):\n  return [1][int(sample.time > 0.1)], state",
             "IndexError: list index out of range, line 2) at 0.101 s",
@@ -355,15 +355,15 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
         ("def step(sample, state): return 'three', state", "its force is 'three', which is not a real number"),
         ("def step(sample, state): return 3j, state", "its force is a complex, which is not a real number"),
         ("def step(sample, state): return None, state", "its force is not finite"),
-        ("def step(sample, state): return sample['nothing'], state", "it measures no 'nothing', but suspension_deflection"),
+        ("def step(sample, state): return sample['nothing'], state", "not measure 'nothing'; its measured signals are suspen"),
         ("def step(sample, state): raise SystemExit('bye')", "SystemExit: bye, line 1"),
         ("import os\ndef step(sample, state): os._exit(0)", "step ends its process (exit code 0) at 0 s; correct it"),
         ("import os\nos._exit(3)\n", "the file ends its process (exit code 3); correct it"),
         ("async def step(sample, state): return 0.0, state", "it returns a coroutine, not two values"),
         ("def step(sample, state): yield 0.0, state", "it returns a generator, not two values"),
         ("def step(sample, state): return float(input()), state", "step fails (EOFError: EOF when reading a line, line 1)"),
-        ("def step(sample, state): return 0.0, state\nstep.vectorised = 'no'", "step.vectorised is neither true nor false"),
-        ("def step(sample, state): return 0.0, state\nstep.vectorised = 1", "step.vectorised is neither true nor false"),
+        ("def step(sample, state): return 0.0, state\nstep.vectorised = 'no'", "step.vectorised is neither True nor False"),
+        ("def step(sample, state): return 0.0, state\nstep.vectorised = 1", "step.vectorised is neither True nor False"),
         ("def step(sample): return 0.0, None", "TypeError: step() takes 1 positional argument but 2 were given"),
         ("def step(sample, state): raise BaseException('two\\nlines')", "BaseException: two lines, line 1"),
     ],
@@ -386,9 +386,9 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "mi\\nne.py:step"', "is not a law in Python"),
         ('law = "mi\\u2028ne.py:step"', "is not a law in Python"),
         ('law = "other.py:step"', "there is no such file"),
-        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain with law: a controller has one law"),
+        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain cannot be combined with law: a controller has either one given law"),
         ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
-        ("preview = 1.0", "preview is the road ahead that a law in Python receives"),
+        ("preview = 1.0", "preview needs a law in Python or design"),
     ],
 )
 def test_what_the_file_may_say(tmp_path, line, said):
@@ -509,5 +509,5 @@ def test_a_run_has_a_limit_too(tmp_path, monkeypatch):
     slow = "import time\ndef step(sample, state):\n    time.sleep({})\n    return 0.0, state\n"
     found = refusal(vehicle_of(tmp_path, slow.format(0.02)))
     # 0.2 s, and 5 ms a call of which each takes 20 ms or, on a busy machine, more: over at the thirteenth call at the latest.
-    assert "step is slower than 100 times real time, and 10 s, at 0.0" in found  # the words are those of the limits as they are
+    assert "more than 10 s plus 100 times the simulated time at 0.0" in found  # the words are those of the limits as they are
     driven(vehicle_of(tmp_path, slow.format(0.001)), duration=0.2)

@@ -158,7 +158,7 @@ def test_written_down():
     assert (again.posts, again.source, again.points) == (rig.posts, rig.source, rig.points)
     t = np.linspace(-1, 3, 50)
     assert np.allclose(rig.scaled(-2.0).displacement(t, "rear_left"), -2 * rig.displacement(t, "rear_left"), rtol=1e-12)
-    with pytest.raises(InputError, match="the points of a rig are missing"):
+    with pytest.raises(InputError, match=r"the points of the road .rig. are missing"):
         described_road(rig.describe())
     for broken in (b"", rig.points[:200], rig.points.replace(b"front_left", b"front_left,x", 1), rig.points.replace(b",", b";")):
         with pytest.raises(InputError, match=r"rig|columns"):
@@ -171,24 +171,24 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (GOOD.replace("rear", "back"), "no column is called rear, as its wheel is; the columns are back, front"),
+        (GOOD.replace("rear", "back"), "no column is called rear like the wheel; the columns are back, front"),
         (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' does not belong to a wheel"),
         (GOOD.replace("rear", "front"), "two columns are called 'front'"),
-        (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', belong to one wheel"),
+        (GOOD.replace("rear", "Front"), "the columns 'front' and 'Front' belong to the same wheel"),
         (GOOD.replace("front [mm]", "front"), "'front', has no unit (allowed: cm, ft, in, km, m, mm); write the heading"),
         (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit (allowed: ms, s); write the heading time [s]"),
-        (GOOD.replace("rear [mm]", "rear [kN]"), "'rear [kN]', the unit 'kN' (allowed: cm, ft, in, km, m, mm); convert"),
+        (GOOD.replace("rear [mm]", "rear [kN]"), "the unit 'kN' (allowed: cm, ft, in, km, m, mm); convert"),
         (GOOD.replace("time [s]", "time [kg]"), "column 1, 'time [kg]', has the unit 'kg' (allowed: ms, s"),
-        (GOOD.replace("time", "distance"), "0 columns are called time, and one must be"),
+        (GOOD.replace("time", "distance"), "0 columns are called time, but exactly one is needed"),
         (GOOD.replace("front", "t"), "two columns are called 'time'"),
-        ("time [s]\n0\n1\n2\n3\n", "0 columns of heights"),
+        ("time [s]\n0\n1\n2\n3\n", "there are no columns of heights"),
         (GOOD.replace("2,2,2", "2,2"), "line 4 has 2 column(s), but line 2 has 3"),
         (GOOD.replace("2,2,2", "2,two,2"), "line 4, column 2: 'two' is not a finite number"),
         (GOOD.replace("2,2,2", "2,nan,2"), "line 4, column 2: 'nan' is not a finite number"),
         (GOOD.replace("2,2,2", "1,2,2"), "time 1 s is repeated (line 3 and line 4); keep one of the two points"),
         (GOOD.replace("3,3,3", "30,3,3"), "there is a gap from 2 s to 30 s (line 4 and line 5)"),
-        (GOOD.replace("3,3,3", "3,3,3000"), "line 5 lies 3 m from where its post begins; 2 m are allowed"),
-        (GOOD.replace("3,3,3\n", ""), "a time history needs at least 4 points, and has 3"),
+        (GOOD.replace("3,3,3", "3,3,3000"), "line 5 is 3 m from the first height of its post, but only 2 m are allowed"),
+        (GOOD.replace("3,3,3\n", ""), "a time history needs at least 4 points, but has 3"),
         (GOOD.splitlines()[0], "no line of numbers; give a line of headings"),
         ("# nothing\n\n", "no line of numbers"),
         (GOOD.replace("front", ""), "a column is called ''"),
@@ -204,9 +204,9 @@ def test_bad_files(text, said, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--road", "rig"], "a rig is given by its drive file"),
-        (["--road", "rig:depth=2"], "a rig is given by its drive file"),
-        (["--road", "rig:file=drive.rsp"], "a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"),
+        (["--road", "rig"], "a rig needs a drive file"),
+        (["--road", "rig:depth=2"], "a rig needs a drive file"),
+        (["--road", "rig:file=drive.rsp"], "RPC III files (.rsp, .drv) cannot be read, so export their channels as text"),
         (["--road", "rig:file=none.csv"], "drive file none.csv: there is no such file"),
         (["--road", "none.crg"], "road file none.crg: there is no such file"),
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is an unknown unit"),
@@ -214,7 +214,7 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, but height_unit = m is given"),
         (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a rig, on which"),
         (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed chooses a random road"),
-        (["--road", "DRIVE"], "heights over time are of a rig's posts: give rig:file=..."),
+        (["--road", "DRIVE"], "for heights of a rig's posts over time, give rig:file="),
     ],
 )
 def test_bad_options(arguments, said, tmp_path):

@@ -172,7 +172,7 @@ def test_opencrg(tmp_path):
         assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
     assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
     pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
-    with pytest.raises(InputError, match="too narrow"):
+    with pytest.raises(InputError, match="is less than the track"):
         choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
     (tmp_path / "none.crg").write_text("distance,height")
     with pytest.raises(InputError, match="not an OpenCRG file"):
@@ -319,11 +319,11 @@ def test_files_of_other_programs(tmp_path):
     (tmp_path / "binary.erd").write_text(ERD.format(count=1, key=1, names="Elev.", units="m"))
     savemat(tmp_path / "uneven.mat", {"x": x, "z": z[1:]})
     for file, words in (
-        ("binary.erd", "numbers are binary (KEYNUM 1); export it with numbers as text"),
+        ("binary.erd", "binary numbers (KEYNUM 1); export it with numbers as text"),
         ("uneven.mat", "contains x 1x4, z 1x3; save vectors of equal length"),
-        ("a.mat:step=0.5", "a step was given, and there are distances"),
+        ("a.mat:step=0.5", "step is given, but the file has distances"),
         ("d.mat:step=0", "give the spacing of the heights, as in step=0.25"),
-        ("d.mat", "or heights alone, with :step=0.25"),
+        ("d.mat", "or only heights, with a step as in :step=0.25"),
     ):
         with refused(words):
             choose_road(file, tmp_path)
@@ -392,10 +392,10 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
     ("above", "settings", "said"),
     [
         ("distance,left,right", ":columns=1,3,2", "'right', but would be read as the height of the left track"),
-        ("a,b,c", "", "column 1 is called 'a', which is not one of distance, height, left, right; give the columns, as in :col"),
+        ("a,b,c", "", "column 1 is called 'a', which is not one of distance, height, left, right; choose columns with :col"),
         ("distance,a,b [mm]", "", "column 2 is called 'a', which is not one of distance"),
-        ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', are both height; give the columns"),
-        ("x,station,z", "", "columns 1, 'x' and 2, 'station', are both distance"),
+        ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', both contain height; choose columns"),
+        ("x,station,z", "", "columns 1, 'x' and 2, 'station', both contain distance"),
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', but would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', but would be read as distance"),
         ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', but would be read as height"),
@@ -455,16 +455,16 @@ def test_what_is_written_is_read(tmp_path):
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
-        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give two columns"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give columns"),
         ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3, column 2: 'inf' is not a finite number"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), but line 1 has 2"),
         ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), but line 1 has 2"),
         ("0,0\n1,high\n2,0\n", "line 2"),
         ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
-        ("0,0\n", "a profile needs at least 2 points, and has 1"),
-        ("", "the file is empty; give two columns"),
-        ("0,0\n100,20\n200,-10\n300,0\n", "points are 100 m apart, in metres as no unit is given; distances in mm or cm?"),
+        ("0,0\n", "a profile needs at least 2 points, but has 1"),
+        ("", "the file is empty; give columns"),
+        ("0,0\n100,20\n200,-10\n300,0\n", "the points are 100 m apart if the distances, which have no unit, are in m"),
         ("0,5,1,2\n", "line 1 has 4 column(s)"),
     ],
 )
@@ -488,16 +488,13 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("iso8608:class=I", "unknown road class 'I'; ISO 8608 has A, B"),
+        ("iso8608:class=I", "unknown road class 'I'; give A, B"),
         ("iso8608:rough=C", "'rough=C' is not a setting NAME=VALUE"),
         ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
         ("", "unknown road ''; give one of iso8608, bump"),
         ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or a number with its unit"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
-        (
-            "pothole:length=0.3",
-            "length = 0.3 m is less than its two edges, each of 0.2 m; give at least 0.4 m, or edge=0.15 or less",
-        ),
+        ("pothole:length=0.3", "length = 0.3 m is less than its two edges of 0.2 m; give at least 0.4 m, or edge=0.15 or less"),
         ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
         ("bump:track=middle", "track = 'middle'"),
         ("sweep:highest=0.1", "sweep highest"),
@@ -507,13 +504,13 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.csv:offset=3", "'offset=3' is not a setting NAME=VALUE; NAME must be one of columns, distance_unit"),
         ("road.crg:height_unit=mm", "contains its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, as '0.1' and as '0.2'"),
-        ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
-        ("iso8608:gd=32e-6:iri=2", "a road of iri = 2 and gd = 3.2e-05; give one of them"),
+        ("iso8608:iri=2:class=C", "a road has class = C and iri = 2; give only one"),
+        ("iso8608:gd=32e-6:iri=2", "a road has iri = 2 and gd = 3.2e-05; give only one"),
         ("iso8608:gd=32 mm", "unit of m3 is expected"),
-        ("iso8608:class=A/C", "unknown road class 'A/C'; ISO 8608 has A, B"),
+        ("iso8608:class=A/C", "unknown road class 'A/C'; give A, B"),
         ("iso8608:waviness=9", "road waviness = 9 is not allowed; give a number from 1 to 4"),
-        ("iso8608:band=3", "give two ends, as in band=0.011..2.83"),
-        ("iso8608:band=2..0.1", "road band = 2..0.1 is not allowed; give two ends from 0.001 to 100 cycle/m, the lower first"),
+        ("iso8608:band=3", "give both ends, as in band=0.011..2.83"),
+        ("iso8608:band=2..0.1", "band = 2..0.1 is not allowed; give both ends, the lower one first, from 0.001 to 100 cycle/m"),
         ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
     ],
 )
@@ -565,9 +562,9 @@ def test_roads_that_cannot_be_driven():
     not."""
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
-        (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
-        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "is under the left side, but a quarter_car has only one track"),
-        (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
+        (quarter, Bump(length=0.0249), "the road takes only 0.00199 s, less than two timesteps of 0.001 s"),
+        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "left needs two tracks, but a quarter_car has only one"),
+        (full, Bump(height=0.9e-5), "height is at most 9e-06 m in 0.999 s of the run, and heights below 1e-05 m"),
     ):
         with pytest.raises(InputError, match=words):
             road.check(vehicle, time)
@@ -592,14 +589,14 @@ def test_description_is_enough(road):
 @pytest.mark.parametrize(
     ("description", "message"),
     [
-        ({}, "unknown type"),
+        ({}, "which is unknown"),
         ({"type": "bump", "height": "a"}, "its height = 'a' is not allowed; give a number"),
         ({**Bump().describe(), "track": "middle"}, "track = 'middle' is not allowed; give left, right or both"),
-        ({**Bump().describe(), "depth": 1.0}, "it has no 'depth'"),
+        ({**Bump().describe(), "depth": 1.0}, "unknown key 'depth'"),
         ({**Iso8608().describe(), "seed": 1.5}, "seed = 1.5 is not allowed"),
-        ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was 0.001, and is 0.000256 here"),
+        ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was logged as 0.001, but is now 0.000256"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": None}, "omega = None is not allowed; give a list in which each item"),
-        ({"type": "profile", "speed": 20.0}, "points of a profile are missing"),
+        ({"type": "profile", "speed": 20.0}, "points of the road .profile. are missing"),
     ],
 )
 def test_bad_description(description, message):

@@ -84,7 +84,7 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
         ("time [s];heave [N]\n0;1.250\n1;2,5\n", "line 2 has '1.250' and line 3 has '2,5'; write"),
         (
             "time [s];heave [N]\nx;1\n1;2\n",
-            "the heading of column 2 is '1', not a name; begin lines that are not headings with #",
+            "the heading of column 2 is '1', not a name; put # before lines that are not headings",
         ),
         ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 has headings for its 2 column(s); give"),
         ("0,1\n1,2\n", "no line above line 1 has headings for its 2 column(s)"),

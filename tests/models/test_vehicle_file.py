@@ -42,7 +42,7 @@ CHANGES = [
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
     ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "lag, law, loads"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
-    ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain with A: a controller has one law"]),
+    ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain cannot be combined with A: a controller"]),
     (
         "a law that does not fit",
         MINE,
@@ -53,7 +53,7 @@ CHANGES = [
     ("nothing measured", MINE, "", ["[controllers.I] measured is missing", MEASURABLE]),
     ("brackets of a list", "[controllers.I]", "[[controllers.I]]", ["is not a section", "write [controllers.I] once"]),
     ("unknown signal", MINE, 'measured = ["jerk"]', ["[controllers.I]", "'jerk'", MEASURABLE]),
-    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "does not show the state"]),
+    ("its own force", MINE, 'measured = ["control_force"]', ["'control_force'", "contains no information about the state"]),
     ("measured twice", MINE, 'measured = ["sprung_velocity", "sprung_velocity"]', ["'sprung_velocity' twice"]),
     ("gain is a list", MINE, f"{MINE}\ngain = [1.0, 2.0]", ["gain = [1.0, 2.0]", "gain = [[1.0, 1.0]]"]),
     ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
@@ -70,36 +70,36 @@ BOTH = f"[controllers.mine]\n{MINE}"
 # By vehicle, and what begins the lines that are added to its file: the rest of them, what the message says.
 ADDED = {
     ("quarter_car", VELOCITY): [
-        ("stable = true", "no law, order or design with stable = true: it is a law designed with an order"),
-        ('order = "half"', "order = 'half' is not known; known: full"),
-        ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
-        ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
+        ("stable = true", "the default two-step design cannot be combined with stable = true: stable"),
+        ('order = "half"', "order = 'half' is unknown; give one of full"),
+        ('design = "pid"', "design = 'pid' is unknown; give one of h2, lqg, lqr"),
+        ('order = "full"\ngain = [[1.0]]', 'gain cannot be combined with order = "full": a controller has either'),
         ('design = "lqr"', 'design = "lqr" uses the full state'),
-        ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
+        ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "static gain has no states that can wind up"),
         ("sampled = true", "mine] has sampled = true, but ", "no sample period"),
         (
             f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
-            *('design = "lqg" with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "the two steps"),
+            *('"lqg" cannot be combined with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "two-step"),
         ),
-        (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "gain with sampled = true: a law that is given is not designed"),
+        (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "cannot be combined with sampled = true: a given law is not designed"),
     ],
     ("quarter_car", BOTH): [
         ("noise = 0.1", "noise = 0.1 is not allowed; give true or false"),
         (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
-        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but nothing clips its forces"),
+        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
         ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
         ("loads = true", "loads = True is not a table"),
-        ('loads = { heave_load = 1e3 }\ndesign = "h2"', 'design = "h2" with loads: ', 'choose design = "h2"'),
-        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
+        ('loads = { heave_load = 1e3 }\ndesign = "h2"', '"h2" cannot be combined with loads: ', 'choose design = "h2"'),
+        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds cannot be combined with loads: ", "or loads"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is used unchanged"),
-        ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
-        ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
-        ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
+        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active cannot be combined with anti_windup: such a law"),
+        ('semi_active = "sky"', "semi_active = 'sky' is unknown; give one of "),
+        ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
+        ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
         ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
-        ('semi_active = "skyhook_modal"', "is for a body that pitches or rolls"),
+        ('semi_active = "skyhook_modal"', "needs a body that pitches or rolls"),
     ],
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, but ", "gives no sample period"),
@@ -110,7 +110,7 @@ ADDED = {
         ("noise = 1.0", "noise = 1.0 is not a table"),
     ],
     ("quarter_car_semi_active", VELOCITY): [
-        ("mix = 0.5", "mix is for semi-active laws; give one"),
+        ("mix = 0.5", "mix needs a semi-active law; give it"),
     ],
     ("full_car", ""): [
         (
@@ -137,7 +137,7 @@ ADDED = {
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         ('actuator_force = 1.0\nlimit = "both"', "limit = 'both' is not allowed; give 'force' or 'command'"),
-        ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command' but no largest force; give actuator_force [N]"),
+        ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command', but no actuator_force; give actuator_force [N]"),
     ],
 }
 
@@ -283,7 +283,7 @@ def test_a_map_asks_about_units_too(tmp_path, capsys):
     file.write_text(read_vehicle("quarter_car").text + "[limits]\nsuspension_stroke = 80\nstop_stiffness = 1e5\n")
     options = ["--vary", "height:0.02:0.03:2", "--duration", "0.5", "--timestep", "0.005", "--json"]
     assert main_of("sim.envelope")(["--vehicle", str(file), "--controller", "passive", *options]) == 0
-    assert "suspension_stroke is 80 m; is it in m?" in capsys.readouterr().err
+    assert "suspension_stroke is 80 m; check that its value is in m" in capsys.readouterr().err
 
 
 def test_vehicles_that_ship_raise_no_doubt():

@@ -305,7 +305,7 @@ def test_what_cannot_be_saved_is_refused_before_the_runs(tmp_path, monkeypatch):
     laws = ['skyhook = { semi_active = "skyhook" }', 'hybrid = { semi_active = "hybrid" }']
     laws.append('sky = { measured = ["sprung_velocity"], gain = [[-1e3]] }')
     inline = f"controllers = {{ {', '.join(laws)} }}\n{CAR.partition('[controllers')[0]}"
-    check_refused(tmp_path, monkeypatch, FILE, save, "write each as [controllers.NAME]", inline)
+    check_refused(tmp_path, monkeypatch, FILE, save, "write each one as [controllers.NAME]", inline)
     both = FILE.replace('["car.toml"]', '["car.toml", "quarter_car_semi_active"]')
     check_refused(tmp_path, monkeypatch, both, save, "--save writes one vehicle file, but the campaign has 2")
 

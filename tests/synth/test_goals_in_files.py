@@ -93,7 +93,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
     [
         ("minimise = 3", "minimise = 3 is not a table"),
         ("minimise = { band = [8.0, 4.0] }", "band = [8.0, 4.0] is not allowed"),
-        ("minimise = { band = [4.0, inf] }", "minimise band = [4.0, inf] is not allowed; give two frequencies"),
+        ("minimise = { band = [4.0, inf] }", "minimise band = [4.0, inf] is not allowed; give the lowest and highest"),
         ('minimise = { signals = "speed" }', "unknown signal 'speed'"),
         ('minimise = { over = "regret" }', "which needs a family"),
         ("minimise = { frequency = 3 }", "unknown key 'frequency'"),
@@ -103,12 +103,12 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("bounds = [{ energy_peak = 'suspension_deflection' }]", "has no at_most"),
         ("bounds = [{ energy_peak = 'suspension_deflection', energy = -1, at_most = 1 }]", "energy = -1 is not allowed"),
         ("tolerance = { tyre_deflection = 0.1 }", "force is all forces"),
-        ("tolerance = { force = 0.1, control_force = 0.1 }", "give one or the other"),
+        ("tolerance = { force = 0.1, control_force = 0.1 }", "give one of the two"),
         ("family = [{ sprung_mass = 0 }]", "is not allowed"),
         ("family = [{ colour = 2 }]", "has no parameter 'colour'"),
         ("structure = 'wheel'", "is not allowed; give"),
-        ("structure = [[0, 0]]", "leaves no entry"),
-        ('minimise = {}\norder = "full"', 'order = "full" with minimise: goals are of static gains'),
+        ("structure = [[0, 0]]", "has only zeros"),
+        ('minimise = {}\norder = "full"', 'order = "full" cannot be combined with minimise: goals are available only'),
     ],
 )
 def test_wrong_goals_are_refused_in_one_line(section, said):
@@ -160,9 +160,9 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "-v"]) == 0
     assert "--refine" not in capsys.readouterr().out
-    with pytest.raises(DesignError, match="goals with --refine: it is static gains of the least norm that are refined"):
+    with pytest.raises(DesignError, match="goals cannot be combined with --refine: only static gains of the smallest norm"):
         Designer(read_vehicle(path)).refine("goal")
-    with pytest.raises(InputError, match="have an L"):
+    with pytest.raises(InputError, match="two-step design has a matrix L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
 
 

@@ -104,9 +104,9 @@ def test_saved_and_checked(tmp_path, capsys):
 
 def test_what_is_for_static_gains_alone(designer):
     """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
-    with pytest.raises(DesignError, match='order = "full" with --refine: it is static gains'):
+    with pytest.raises(DesignError, match='order = "full" cannot be combined with --refine: only static gains'):
         designer.refine("full")
-    with pytest.raises(InputError, match="only the two steps have an L"):
+    with pytest.raises(InputError, match="only the two-step design has a matrix L"):
         designer.design("full", zero_l=True)
     assert designer.worth_refining(designer.design("lqr")) == 0.0
 

@@ -315,11 +315,11 @@ def test_a_forged_preview_is_found(log, forged, said):
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ('design = "preview"', "needs its preview of the road ahead; give seconds, as in preview = 0.5"),
-        ('design = "preview"\npreview = -1', "preview = -1 is not allowed; give seconds from 0 to 60"),
+        ('design = "preview"', "needs the time for which it knows the road ahead; give it in seconds, as in preview = 0.5"),
+        ('design = "preview"\npreview = -1', "preview = -1 is not allowed; give a number from 0 to 60 s"),
         ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" uses the full state'),
-        ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: it is of the state itself"),
-        ('design = "lqr"\npreview = 0.5', "preview is the road ahead that a law in Python receives"),
+        ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: this design uses the full state"),
+        ('design = "lqr"\npreview = 0.5', "preview needs a law in Python or design"),
     ],
 )
 def test_bad_sections(section, said):

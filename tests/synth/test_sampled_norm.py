@@ -368,5 +368,5 @@ def test_no_multiple_of_the_timestep(tmp_path):
     """Physics cannot hold a force for a part of a step; one line says so."""
     car = tmp_path / "car.toml"
     car.write_text(read_vehicle("quarter_car").text + "\n[implementation]\nsample_period = 0.0105\n")
-    with pytest.raises(InputError, match=r"sample_period = 0.0105 s is not a multiple of the timestep, 0.001 s"):
+    with pytest.raises(InputError, match=r"sample_period = 0.0105 s is not a multiple of the timestep 0.001 s"):
         main(["--vehicle", str(car), "--controller", "I"])
