@@ -77,7 +77,8 @@ class Table:
     ) -> "Table":
         """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
         wide = tuple(field.title for field in fields if field.detail == "full")
-        keys = tuple(field.column or field.title for field in fields)
+        renamed = any(field.column for field in fields)
+        keys = tuple(field.column or field.title for field in fields) if renamed else ()
         return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide, keys)
 
     @property

@@ -79,8 +79,8 @@ def test_remarks_of_the_paper(report, designer):
     _, result = report
     without = {row["controller"]: row for row in result["tables"]["without-l"]}
     assert [name for name, row in without.items() if row["gain"] != "none"] == ["I, states [33]"]
-    assert without["I, states [33]"]["state feedback"] == "499.63"
-    assert without["I, states [33]"]["bound"] == "510.34"
+    assert without["I, states [33]"]["state feedback"] == "499.632"
+    assert without["I, states [33]"]["bound"] == "510.3363"
     table = other_ways(designer)
     ways = {row[0]: dict(zip(table.headings, row, strict=True)) for row in table.rows}
     assert ways["II, two steps"]["gain"] == "[[-8968.54]]"

@@ -51,14 +51,15 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
+RUN_HEIGHT = Field[float]("height", float, ".5g")  # of a run, to repeat it
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
     Field("predicted end", lambda of: of[1].predicted_end if of[1] else "at no height"),
-    Field("at", lambda of: of[1] and of[1].predicted, HEIGHT.form, unit="m"),
-    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, HEIGHT.form, unit="m"),
+    Field("at", lambda of: of[1] and of[1].predicted, RUN_HEIGHT.form, unit="m"),
+    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, RUN_HEIGHT.form, unit="m"),
     Field("off by, of a peak", lambda of: of[1] and of[1].error, "{:.1e}".format),
-    Field("and not at", lambda of: of[1] and of[1].leaves, HEIGHT.form, unit="m"),
+    Field("and not at", lambda of: of[1] and of[1].leaves, RUN_HEIGHT.form, unit="m"),
     Field("ended by", lambda of: of[1] and (of[1].end or "nothing")),
 )
 
