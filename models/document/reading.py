@@ -1,7 +1,6 @@
 """Tables and sentences for reading: short, aligned, in one notation. The data in CSV and JSON is unchanged."""
 
 import csv
-import io
 import re
 import unicodedata
 from collections import Counter
@@ -10,7 +9,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
 from itertools import count
+from pathlib import Path
 from string import ascii_lowercase
+from typing import Any
+
+from models.common.files import whole_file
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
@@ -74,11 +77,14 @@ def _power(one: re.Match[str]) -> str:
     return f"{one[1]}{power}" if float(one[1]) else "0"
 
 
-def as_csv(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table as CSV."""
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows([headings, *rows])
-    return text.getvalue()
+def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
+    """Writes rows as CSV, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
 
 
 def pivoted(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:

@@ -25,7 +25,6 @@ from functools import lru_cache
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import brief
 from models.roads.profile import START, Profile
 from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency, slope_power
@@ -205,7 +204,7 @@ def why_none(road: Road) -> str:
     """Returns a note that a road from a file has no IRI as its points are too far apart; empty for other roads."""
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
-    coarse = f"no iri: points are {brief(step)} m apart, and ASTM E1926 defines it up to {COARSEST:g} m"
+    coarse = f"no iri: points are {step:.3g} m apart, and ASTM E1926 defines it up to {COARSEST:g} m"
     return coarse if step > COARSEST * (1 + EVEN) else ""
 
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import rough
+from models.common.printed import rough
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 from models.suspension.motion_ratio import RatioTable
@@ -102,10 +102,8 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
 def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
     bent = {placed.parameter: placed.curve.at_wheel(1 / placed.ratio) for placed in curves if placed.curve.bent}
-    return ", ".join(
-        f"{name} {rough(curve.slope)} (elsewhere {rough(curve.slope_range[0])} to {rough(curve.slope_range[1])})"
-        for name, curve in bent.items()
-    )
+    slopes = (f"{rough(curve.slope)} (elsewhere {' to '.join(map(rough, curve.slope_range))})" for curve in bent.values())
+    return ", ".join(map(" ".join, zip(bent, slopes, strict=True)))
 
 
 def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> dict[str, Any]:

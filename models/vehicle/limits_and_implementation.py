@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.formats import about, rough
+from models.common.printed import about, rough
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS, STOP_NAMES
 

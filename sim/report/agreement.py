@@ -38,7 +38,7 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
 
 
 def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
-    """The panel of a diagram: its lines as far as any run went, and a point at every so many samples."""
+    """Returns the panel of a diagram: its lines over the range of all runs, and about `DIAGRAM_POINTS` samples of each run."""
     points, far, high = [], 1e-3, 0.0
     for run in runs:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
@@ -56,7 +56,7 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
 def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section on the road of the report: its signals over time, and their peaks or, measured when, the metrics."""
+    """Returns the section on the road of the report: signals over time, and their peaks, or the metrics measured `when`."""
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
     if road is None:

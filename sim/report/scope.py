@@ -44,8 +44,8 @@ class Scope:
         laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
-        exported: the controller that exported code drives, and that is reported; None without one.
-        own_road: the road that all is driven over instead of the paper's bump; None for that.
+        exported: the controller whose exported code is reported; None without one.
+        own_road: road of the report instead of the paper's bump; None for the bump.
         road_name: name of the road as given.
         duration: duration of the runs over either road [s].
     """
@@ -76,12 +76,12 @@ class Scope:
 
     @property
     def speed(self) -> float:
-        """Returns the speed that sinusoids are driven at [m/s]: on a rig, where the vehicle stands, that of the paper's bump."""
+        """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle stands on a rig."""
         return self.road.speed or Bump().speed
 
     @property
     def driven(self) -> tuple[AnyController, ...]:
-        """All that MuJoCo runs."""
+        """Returns all controllers that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: AnyController) -> bool:
@@ -90,15 +90,13 @@ class Scope:
 
     @property
     def noise_qualifier(self) -> str:
-        """Returns the noise and quantisation that a linear loop leaves out, after a comma; empty without them."""
+        """Returns the noise and quantisation that a linear loop omits, after a comma; empty without them."""
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
 
     @property
     def prompt(self) -> bool:
-        """Returns True if the controller acts at every timestep without delay: its loop then tends to the continuous one with the
-        step.
-        """
+        """Returns True if the controller acts at every timestep without delay, so that its loop tends to the continuous one."""
         return self.vehicle.implementation.undelayed
 
     @cached_property
@@ -112,7 +110,7 @@ class Scope:
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """The L2 gains of the implemented loops, by controller, if the vehicle file makes them differ."""
+        """Returns the L2 gains of the implemented loops, by controller, if these differ from the ideal loops."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
@@ -131,12 +129,12 @@ class Scope:
 
     @property
     def margins_timestep(self) -> float:
-        """The step that margins are found with [s]: that of `python -m sim.margins`, or the report's where that is finer."""
+        """Returns the timestep of the margins [s]: that of `python -m sim.margins`, or the report's if that is finer."""
         return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:
-        """The step of the map's many runs [s]: about twice the report's, a part of the controller's sample period."""
+        """Returns the timestep of the map's runs [s]: about twice the report's, and a divisor of the controller's sample period."""
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
@@ -148,7 +146,7 @@ class Scope:
 
 
 def file_stem(vehicle: Vehicle) -> str:
-    """Returns the name of a vehicle's file without its ending, or of its kind where it is of no file."""
+    """Returns the name of a vehicle's file without its suffix, or its type if it has no file."""
     return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
 
 

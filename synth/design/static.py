@@ -25,7 +25,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound
 from models.common.errors import InputError
-from models.common.formats import magnitude
 from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -252,9 +251,9 @@ class GainSearch:
         """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
-        for x in sampled:
-            size = magnitude(10 ** np.floor(np.log10(abs(x).max())))
-            candidates += self.admitted(x, f"a sample of size {size}")
+        candidates += [
+            each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
+        ]
         alone = np.isinf(self.rival)
         numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)
         if len(self.plant.A) > LARGE:
