@@ -116,8 +116,8 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
     same = tuple(f"{headings[i]}: {notation(columns[i][0])}" for i in constant if columns[i][0] != "-")
     marks, notes = (ascii_lowercase[k] if k < len(ascii_lowercase) else str(k) for k in count()), dict[str, str]()
     kept = [i for i in range(len(columns)) if i not in constant]
-    cells = [aligned(column) if pivot is not None else _noted(aligned(column), marks, notes) for column in columns[1:]]
-    shown = [[notation(cell) for cell in cells[i - 1]] if i else columns[0] for i in kept]
+    cells = [aligned(columns[i]) if pivot is not None else _noted(aligned(columns[i]), marks, notes) for i in kept[1:]]
+    shown = [columns[0], *([notation(cell) for cell in column] for column in cells)] if kept else []
     return Reading(
         tuple(notation(headings[i]) for i in kept) if rows else tuple(headings),
         tuple(zip(*shown, strict=True)),

@@ -185,15 +185,18 @@ def _reported(
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
+    from models.vehicle.limits_and_implementation import steps_per_sample
     from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import pieces_of, report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import BUMP_DURATION, Scope, check_scope
+    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
     from sim.runs.run import sample_times
+    from sim.studies.frequency.identification import check
     from synth.controller.controller import Controller, code_of
     from synth.vehicle.designer import Designer
 
-    check_scope(vehicle, options.timestep)
+    check(vehicle, (), AMPLITUDE, options.timestep)
+    steps_per_sample(vehicle.implementation, options.timestep)
     road, name, duration = None, "", BUMP_DURATION
     if options.road is not None or options.road_class is not None:
         duration = options.duration

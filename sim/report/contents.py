@@ -180,7 +180,7 @@ def _map(scope: Scope, number: int) -> Cells:
 
 
 def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
-    """Returns the ride of stable controllers and of laws over random roads, and their standings with that of the passive vehicle."""
+    """Returns the ride of stable controllers and of laws over random roads, and their standings and that of passive."""
     reported = (*scope.stable, *scope.laws)
     driven = [OverRoads(scope.vehicle, one, scope.timestep) for one in reported]
     passive = [] if any(one.name == PASSIVE for one in reported) else [scope.designer.design(PASSIVE)]

@@ -13,7 +13,6 @@ from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import sample_times
-from sim.studies.frequency.identification import check
 from sim.studies.stability import TIMESTEP
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
@@ -94,18 +93,14 @@ class Scope:
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
 
-    @property
-    def prompt(self) -> bool:
-        """Returns True if the controller acts at every timestep without delay, so that its loop tends to the continuous one."""
-        return self.vehicle.implementation.undelayed
-
     @cached_property
     def stable(self) -> list[Controller]:
         """Returns the controllers with a stable implemented loop, and a stable ideal loop unless a computer replaces it."""
         return [
             one
             for one in self.controllers
-            if (one.certificate.stable or not self.prompt) and LoopModel(self.vehicle, one, self.timestep).radius < 1
+            if (one.certificate.stable or not self.vehicle.implementation.undelayed)
+            and LoopModel(self.vehicle, one, self.timestep).radius < 1
         ]
 
     @cached_property
@@ -134,7 +129,7 @@ class Scope:
 
     @property
     def map_timestep(self) -> float:
-        """Returns the timestep of the map's runs [s]: about twice the report's, and a divisor of the controller's sample period."""
+        """Returns the timestep of the map's runs [s]: about twice the report's, a divisor of the controller's sample period."""
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
@@ -148,16 +143,6 @@ class Scope:
 def file_stem(vehicle: Vehicle) -> str:
     """Returns the name of a vehicle's file without its suffix, or its type if it has no file."""
     return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
-
-
-def check_scope(vehicle: Vehicle, timestep: float) -> None:
-    """Checks that a vehicle can be reported at this timestep, before any work.
-
-    Raises:
-        InputError: the timestep is too coarse, or the controller's sample period is not a multiple of it.
-    """
-    check(vehicle, (), AMPLITUDE, timestep)
-    steps_per_sample(vehicle.implementation, timestep)
 
 
 NAME = Field[AnyController]("controller", lambda one: one.name)

@@ -145,7 +145,7 @@ BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:ste
         ("--class B --road flat", "not both"),
         ("--vehicle half_car --load corner:g=0.3", "rolls"),
         ("--load push:g=1", "unknown load"),
-        ("--gallery --as ecu", "--as is of a vehicle file's report"),
+        ("--gallery --as ecu", "--as and --gallery cannot be combined"),
         (
             "--vehicle car.toml --controller mine --timestep 0.005",
             r"^controller 'mine', law mine.py:step: step fails \(ZeroDivision",

@@ -41,7 +41,7 @@ SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
 GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("held-road norm", lambda one: one.extremes.worst.gain, GAIN.form),
-    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], GAIN.form),
+    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
     Field(
         "share of norm",
         lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain,
