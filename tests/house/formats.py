@@ -2,7 +2,8 @@
 
 `python -m tests.house.formats` prints all of them. `--lower` writes their numbers into `MOST` of this file if they are smaller.
 
-Exempt are the texts of errors, the shared formats of `models/common/printed.py`, generated code, and formats without a number of digits, such as `:g` for a number from a file.
+Exempt are the texts of errors, the shared formats of `models/common/printed.py`, generated code, and formats without a number
+of digits, such as `:g` for a number from a file.
 """
 
 import sys
