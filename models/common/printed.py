@@ -15,6 +15,16 @@ from typing import Any
 
 from models.common.errors import InputError, listing
 
+# Formats of numbers in sentences. Columns of tables have fields (`models.document.field`).
+NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
+digits = f"{{:{NORM_DIGITS}}}".format
+entry = "{:.6g}".format  # of a gain or a law
+rough = "{:.4g}".format  # of a pole, a rate, a time, a slope
+brief = "{:.3g}".format  # of a size that only compares
+about = "{:.2g}".format  # of an estimate
+magnitude = "{:.0e}".format  # of rounding errors
+exactly = "{:.10g}".format  # of claims that do not hold, which may differ from the truth by little
+
 
 def finite(value: Any) -> float | None:
     """Returns a number for JSON: None if it is infinite or absent."""
@@ -29,6 +39,11 @@ def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
 def cell(value: float | None, form: str, unit: str = "") -> str:
     """Returns a number for a table, "-" if it is infinite or absent."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
+
+
+def difference(value: float) -> str:
+    """Returns a relative difference with two digits."""
+    return f"{value:.1e}" if value else "0"
 
 
 def as_name(name: str) -> str:

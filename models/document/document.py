@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 from models.common.printed import by_text
 from models.document.field import Detail, Field, T, cells, titles
 from models.document.figure import Figure
-from models.document.reading import Pivot, Reading, as_csv, read
+from models.document.reading import Pivot, Reading, read
 
 State = Literal["note", "holds", "ends", "fails"]  # of a claim: none is made; it holds; it ends somewhere; it is wrong
 STATES: tuple[State, ...] = ("note", "holds", "ends", "fails")
@@ -77,7 +77,8 @@ class Table:
     ) -> "Table":
         """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
         wide = tuple(field.title for field in fields if field.detail == "full")
-        keys = tuple(field.column or field.title for field in fields)
+        renamed = any(field.column for field in fields)
+        keys = tuple(field.column or field.title for field in fields) if renamed else ()
         return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide, keys)
 
     @property
@@ -94,11 +95,6 @@ class Table:
     def records(self) -> list[dict[str, str]]:
         """Returns the rows for JSON, their cells by key."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
-
-    @property
-    def csv(self) -> str:
-        """Returns the table as CSV."""
-        return as_csv(self.headings, self.rows)
 
 
 Block: TypeAlias = "Statement | Table | Figure | Document"

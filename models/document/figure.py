@@ -121,7 +121,7 @@ class Classes:
                 padded = np.pad(inside, 1)
                 inside = inside & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
             if depth * WIDE > len(self.x):
-                entries.append((name.partition(" breaks")[0].partition(":")[0], *at))
+                entries.append((name.partition(" first")[0].partition(";")[0], *at))
         return entries
 
 

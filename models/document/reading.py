@@ -1,7 +1,6 @@
 """Tables and sentences for reading: short, aligned, in one notation. The data in CSV and JSON is unchanged."""
 
 import csv
-import io
 import re
 import unicodedata
 from collections import Counter
@@ -10,7 +9,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from html import escape
 from itertools import count
+from pathlib import Path
 from string import ascii_lowercase
+from typing import Any
+
+from models.common.files import whole_file
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
@@ -74,11 +77,14 @@ def _power(one: re.Match[str]) -> str:
     return f"{one[1]}{power}" if float(one[1]) else "0"
 
 
-def as_csv(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table as CSV."""
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows([headings, *rows])
-    return text.getvalue()
+def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
+    """Writes rows as CSV, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
 
 
 def pivoted(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
@@ -110,8 +116,8 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
     same = tuple(f"{headings[i]}: {notation(columns[i][0])}" for i in constant if columns[i][0] != "-")
     marks, notes = (ascii_lowercase[k] if k < len(ascii_lowercase) else str(k) for k in count()), dict[str, str]()
     kept = [i for i in range(len(columns)) if i not in constant]
-    cells = [aligned(column) if pivot is not None else _noted(aligned(column), marks, notes) for column in columns[1:]]
-    shown = [[notation(cell) for cell in cells[i - 1]] if i else columns[0] for i in kept]
+    cells = [aligned(columns[i]) if pivot is not None else _noted(aligned(columns[i]), marks, notes) for i in kept[1:]]
+    shown = [columns[0], *([notation(cell) for cell in column] for column in cells)] if kept else []
     return Reading(
         tuple(notation(headings[i]) for i in kept) if rows else tuple(headings),
         tuple(zip(*shown, strict=True)),

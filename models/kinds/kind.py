@@ -11,7 +11,6 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
 from models.common.errors import InputError, alike
-from models.common.formats import signed
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     CONTROL_FORCE,
@@ -55,7 +54,7 @@ class Variation(Checked):
 
     def __str__(self) -> str:
         low, high = (100 * (factor - 1) for factor in (self.smallest, self.largest))
-        return f"{self.name} {signed(low)} to {signed(high)} %"
+        return f"{self.name} {low:+.4g} to {high:+.4g} %"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within, table_within
 from models.common.errors import InputError, quoted
-from models.common.formats import entry
+from models.common.printed import entry
 from models.laws.combinations import PI, PID, is_order
 from models.laws.goals import CORNER, read_structure
 from models.laws.linear import LARGEST, MATRICES, LinearLaw
@@ -155,7 +155,12 @@ def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
 
 def pid_text(law: LinearLaw) -> str:
     """Returns a PI or PID law as in a vehicle file, a table for each force; empty for any other law."""
-    tables = [", ".join(f"{name} = {entry(value)}" for name, value in gains.items()) for gains in pid_gains(law)]
+    return pid_tables(pid_gains(law))
+
+
+def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
+    """Returns gains by name as in a vehicle file, a table for each force."""
+    tables = [", ".join(f"{name} = {entry(value)}" for name, value in each.items()) for each in gains]
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
 

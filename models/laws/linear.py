@@ -10,7 +10,7 @@ from scipy import linalg
 from models.common.arrays import Array, real_matrix
 from models.common.checks import Positive, check
 from models.common.errors import InputError
-from models.common.formats import entry, rough
+from models.common.printed import entry, rough
 
 FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 MATRICES = ("A", "B", "C", "D")

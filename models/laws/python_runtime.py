@@ -26,7 +26,6 @@ import numpy as np
 from models.common.arrays import Array, check_unmasked
 from models.common.children import Child, EndedError
 from models.common.errors import InputError, quoted
-from models.common.formats import entry
 from models.laws.python_law import Programmed
 from models.laws.user_code import compiled, reason
 
@@ -145,8 +144,8 @@ class OwnLaw:
             if self._path is None and not isinstance(error, Exception):  # an exit, or Ctrl-C, of the caller's process
                 raise
             if self._fmu and isinstance(error, InputError):
-                raise InputError(f"{self._what}{f', at {entry(time)} s' if time else ''}: {error}") from error
-            said = f"{name} fails ({reason(error, self._path)}){'' if time is None else f' at {entry(time)} s'}"
+                raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
+            said = f"{name} fails ({reason(error, self._path)}){'' if time is None else f' at {time:.6g} s'}"
             raise InputError(f"{self._what}: {said}; correct it") from error
 
 
@@ -238,7 +237,7 @@ class FileRuns:
         began = clock()
         try:
             arrays = _packed(gone), _packed(y), None if preview is None else _packed(preview)
-            longest, when = min(LONGEST, self._left), f" at {entry(time)} s"
+            longest, when = min(LONGEST, self._left), f" at {time:.6g} s"
             forces, errors = self._answer(self._name, longest, when, "call", time, period, *arrays)
             return _unpacked(*forces), errors
         finally:

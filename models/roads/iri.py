@@ -25,7 +25,6 @@ from functools import lru_cache
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import brief
 from models.roads.profile import START, Profile
 from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency, slope_power

@@ -11,7 +11,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError, quoted
-from models.common.formats import place
 from models.roads.road import LIMITS, MeasuredRoad, check_numbers
 from models.vehicle.vehicle import Vehicle
 
@@ -269,10 +268,8 @@ def check_ascending(
     steps = np.diff(x)
     for i in np.flatnonzero(steps <= 0)[:1]:
         if steps[i] == 0:
-            raise InputError(
-                f"{axis} {place(x[i])} {unit} is repeated ({where(i)} and {where(i + 1)}); keep one of the two points"
-            )
-        there = f"{axis} falls from {place(x[i])} {unit} to {place(x[i + 1])} {unit} ({where(i)} and {where(i + 1)})"
+            raise InputError(f"{axis} {x[i]:.12g} {unit} is repeated ({where(i)} and {where(i + 1)}); keep one of the two points")
+        there = f"{axis} falls from {x[i]:.12g} {unit} to {x[i + 1]:.12g} {unit} ({where(i)} and {where(i + 1)})"
         raise InputError(f"{there}; sort the points by {axis}")
     usual = float(np.median(steps))
     for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:

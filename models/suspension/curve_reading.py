@@ -14,7 +14,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.formats import rough
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.surface import ForceSurface, surface_of
 
@@ -324,7 +323,7 @@ def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]
     if fit_error is not None or len(indices) > MOST_LINES + 1:
         error = USUAL_ERROR if fit_error is None else float(fit_error)
         indices = thinned(x, force, error * largest)
-        words = f"{len(x)} points as {len(indices) - 1} straight lines, within {100 * error:g} % of {rough(largest)} N"
+        words = f"{len(x)} points as {len(indices) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
         if len(indices) > MOST_LINES + 1:
             raise InputError(
                 f"needs {len(indices) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "

@@ -6,7 +6,7 @@ from typing import Any
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import rough
+from models.common.printed import rough
 from models.suspension import SuspensionParts
 from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, table_within
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.formats import about, rough
+from models.common.printed import about, rough
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS, STOP_NAMES
 
@@ -317,7 +317,8 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
         frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
         if not SLOWEST_BODY <= frequency <= FASTEST_BODY:
             doubts.append(
-                f"the body's natural frequency is about {about(frequency)} Hz; check that sprung_mass is in kg and stiffness in N/m"
+                f"the body's natural frequency is about {about(frequency)} Hz; "
+                "check that sprung_mass is in kg and stiffness in N/m"
             )
         elif ratio > FIRMEST_BODY:
             doubts.append(f"the body's damping ratio is about {about(ratio)}; check that the damping is in N s/m")

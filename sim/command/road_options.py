@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
-from models.common.formats import rough
-from models.common.printed import percent, wrapped
+from models.common.printed import percent, rough, wrapped
 from models.vehicle.names import CLASSES, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
 if TYPE_CHECKING:

@@ -41,7 +41,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.formats import difference
+from models.common.printed import difference
 from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
@@ -104,10 +104,9 @@ class Energy(Shown):
     @property
     def shown(self) -> Document:
         """Returns whether it balances, and the energies."""
-        names = ("road", "actuators", "loads", "stored", "dissipated")
-        joules = {name: JOULES.text(getattr(self, name)) for name in names if getattr(self, name) is not None}
-        turnover = JOULES.text(self.turnover)
-        return facts(f"energy {self.verdict}: all but {difference(self.residual)} of the {turnover} turned over", joules)
+        parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
+        title = f"energy {self.verdict}: all but {difference(self.residual)} of the {JOULES.text(self.turnover)} turned over"
+        return facts(title, {name: JOULES.text(one) for name, one in parts.items() if one is not None})
 
     @property
     def fails(self) -> bool:

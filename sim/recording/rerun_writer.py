@@ -17,7 +17,6 @@ import rerun.blueprint as rrb
 import rerun.chunk
 
 from models.common.arrays import Array
-from models.common.formats import brief
 from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, pages
 from sim.recording.rerun_contents import (
     TIMELINE,
@@ -168,7 +167,7 @@ def extremes_text(curves: Sequence[Array]) -> str:
     if limits is None:
         return ""
     least = ROUNDING * max(map(abs, limits))
-    return " to ".join(dict.fromkeys(brief(value if abs(value) > least else 0.0) for value in limits))
+    return " to ".join(dict.fromkeys(f"{value if abs(value) > least else 0.0:.3g}" for value in limits))
 
 
 def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:

@@ -1,4 +1,4 @@
-"""`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
+"""`python -m sim.report`: one HTML page about a vehicle file and its controllers."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _gallery(options)
     subjects = _subjects(options)
     if len(subjects) > 1 and options.exported is not None:
-        raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
+        raise InputError("--as works with one vehicle, and several are given; give one --vehicle")
     outputs = _outputs(options, subjects)
     for title, (vehicle, _) in subjects.items():
         check_outputs(outputs[title], [*vehicle.files, *named_files((options.road, *options.loads))], options.json)
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print(json.dumps(whole, allow_nan=False))
     else:
-        left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
+        left = ["other files in figures, left unchanged", *(Whole(f"  {name}") for name in older)] if older else []
         lines = [
             *written_lines(outputs)[1:],
             *left,
@@ -182,16 +182,19 @@ def _reported(
     pool: "WorkerPool",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
-    """A report whose page is written, with its figures if they are requested."""
+    """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
+    from models.vehicle.limits_and_implementation import steps_per_sample
     from sim.command.comparison import controllers_of, runnable, warn
     from sim.report.contents import pieces_of, report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import BUMP_DURATION, Scope, check_scope
+    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
     from sim.runs.run import sample_times
+    from sim.studies.frequency.identification import check
     from synth.controller.controller import Controller, code_of
     from synth.vehicle.designer import Designer
 
-    check_scope(vehicle, options.timestep)
+    check(vehicle, (), AMPLITUDE, options.timestep)
+    steps_per_sample(vehicle.implementation, options.timestep)
     road, name, duration = None, "", BUMP_DURATION
     if options.road is not None or options.road_class is not None:
         duration = options.duration
@@ -199,7 +202,7 @@ def _reported(
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
-        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or omit --{given[0]}")
+        raise InputError(f"--{given[0]} needs a road; give --road or --class, or omit --{given[0]}")
     if options.front is not None:
         from sim.report.front import check_front
 
@@ -248,7 +251,7 @@ def _gallery(options: argparse.Namespace) -> int:
         if getattr(options, of)
     } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
-        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; omit one of them")
+        raise InputError(f"--{given[0]} and --gallery cannot be combined; omit one of them")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
@@ -283,10 +286,11 @@ def _about(source: str) -> dict[str, str]:
 
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
     """Writes a page, with its figures if they are requested: all of it, or nothing."""
-    from models.common.files import made_folder, together, whole_file
+    from models.common.files import made_folder, together
     from models.document.figure import Figure
     from models.document.page import write_page
     from models.document.picture import write_picture
+    from models.document.reading import write_rows
 
     out, figures = outputs["report"], outputs["figures"]
     assert out is not None, "every page has a file"
@@ -301,8 +305,7 @@ def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
             if isinstance(one, Figure):
                 write_picture(one, *(figures / name for name in names))
             else:
-                with whole_file(figures / names[0], "table") as beside:
-                    beside.write_text(one.csv, encoding="utf-8", newline="")
+                write_rows(figures / names[0], [one.headings, *one.rows])
 
 
 def _parser() -> Parser:
@@ -339,7 +342,7 @@ def _files(page: "Page") -> "list[tuple[Figure | Table, tuple[str, ...]]]":
 
 
 def _others(page: "Page", folder: Path) -> list[str]:
-    """Figures and tables in the folder that are not of this page: of an earlier report, or its owner's, so they stay."""
+    """Returns the names of other figures and tables in the folder, which stay, as they may be the user's."""
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

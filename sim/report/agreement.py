@@ -38,7 +38,7 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
 
 
 def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
-    """The panel of a diagram: its lines as far as any run went, and a point at every so many samples."""
+    """Returns the panel of a diagram: its lines over the range of all runs, and about `DIAGRAM_POINTS` samples of each run."""
     points, far, high = [], 1e-3, 0.0
     for run in runs:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
@@ -56,7 +56,7 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
 def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section on the road of the report: its signals over time, and their peaks or, measured when, the metrics."""
+    """Returns the section on the road of the report: signals over time, and their peaks, or the metrics measured `when`."""
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
     if road is None:
@@ -112,10 +112,11 @@ def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
-    linear = not (scope.vehicle.is_curved or scope.vehicle.dampers)  # the sampled response tends to the continuous one
+    linear = not (scope.vehicle.is_curved or scope.vehicle.dampers)
+    prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
 
     def settles(run: Run) -> bool:
-        return linear and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
+        return linear and isinstance(run.controller, Controller) and (prompt or not run.controller.law.acts)
 
     columns: tuple[Field[tuple[Run, Run | None, str]], ...] = (
         NAME.of(lambda of: of[0]),
@@ -141,7 +142,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         texts.append(f"The sampled response has no {scope.vehicle.implementation.noise_text}; this difference has no order.")
     if any(cause.startswith("geometry") for cause in causes):
         texts.append("Linear analysis assumes small rotations; this difference shrinks with the height of the road only.")
-    if scope.prompt and linear:
+    if prompt and linear:
         texts.append(
             "The sampled response tends to the continuous one with order 1, as the force is held over a step; without a force, "
             "with order 2."

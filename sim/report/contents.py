@@ -48,7 +48,7 @@ MOST_ORDERS = 4  # controllers whose order of convergence is found, as that take
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A report: its page, and who is best at what.
+    """A report: its page, and the comparison of controllers.
 
     Attributes:
         page: whole page.
@@ -64,7 +64,7 @@ class Report:
 def report(
     scope: Scope, provenance: dict[str, str], begin: Callable[[Scope, dict[Name, Piece]], Callable[[], dict[Name, Any]]]
 ) -> Report:
-    """The whole report.
+    """Returns the whole report.
 
     Args:
         provenance: origin of the report, in words.
@@ -174,13 +174,13 @@ def _margins(scope: Scope) -> Document:
 
 
 def _map(scope: Scope, number: int) -> Cells:
-    """Runs bumps of the paper's length, of every height and speed of `OF_MAP`, with one of the active controllers."""
+    """Returns the map of an active controller: bumps of the paper's length, with all heights and speeds of `OF_MAP`."""
     bumps, vehicle = grid(read_axes(OF_MAP), {"length": Bump().length}), ideal_measurements(scope.vehicle)
     return validity(vehicle, scope.active[number], bumps, sample_times(vehicle, BUMP_DURATION, scope.map_timestep))
 
 
 def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
-    """Random roads, of all whose bump is not the only thing to be reported; and their standings, that of the passive one too."""
+    """Returns the ride of stable controllers and of laws over random roads, and their standings and that of passive."""
     reported = (*scope.stable, *scope.laws)
     driven = [OverRoads(scope.vehicle, one, scope.timestep) for one in reported]
     passive = [] if any(one.name == PASSIVE for one in reported) else [scope.designer.design(PASSIVE)]
@@ -197,7 +197,7 @@ def _compared(
 ) -> list[Standing]:
     """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
 
-    Who is not driven over random roads, as an unstable loop, has no numbers there.
+    A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
     """
     if not over_roads:
         return standings_of(runs, passive_beside(runs, scope.designer.design), samples, measured)
@@ -219,7 +219,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     seeds = [f"{how.seed}, of the noise on measurements"] if any(how.noise.values()) else []
     if not scope.quick:
         rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
-        seeds.append("1, of the random road that the norm is tried on")
+        seeds.append("1, of the random road for the L2 gain")
         seeds += [f"{SEED}, of the genetic algorithm"] if is_the_papers(vehicle) else []
         seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
@@ -259,7 +259,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
 
 
 def report_object(report: Report) -> dict[str, Any]:
-    """Answer, tables and standings as in JSON."""
+    """Returns answer, tables and standings for JSON."""
     page = report.page
     whole = {
         "title": page.title,

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.formats import digits, entry
-from models.common.printed import as_name
+from models.common.printed import as_name, digits, entry
 from models.document.document import Block, Document, Statement, Table, notes
 from models.document.document import statements as statements_on
 from models.document.field import Field

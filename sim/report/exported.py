@@ -1,6 +1,6 @@
 """The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
 
-from models.common.formats import entry
+from models.common.printed import entry
 from models.document.document import Document, Table, notes
 from sim.report.scope import Scope
 from sim.runs.report import code_notes, code_table, verdicts

@@ -28,9 +28,9 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
 from synth.vehicle.trade_off.report import describe
 
-SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: where a norm that belongs to a standing road is looked for on a sinusoid
+SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: slow sinusoids, for a norm that is reached at frequency 0
 TURN = 0.005  # rad of the sinusoid in a step
-NEXT = 1e-3  # relative: how near it has to come
+NEXT = 1e-3  # relative distance of the gain from such a norm
 TITLE = "Trade-off between objectives"
 
 
@@ -76,7 +76,7 @@ SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
-    """The gain of a design in MuJoCo on a sinusoid of the road at which its norm on an axis is reached; NaN where none is."""
+    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm on an axis is reached; NaN without one."""
     controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
     norm = trade_off.points[i].norms[k]
     if axis.off or not norm.value or controller.hardware.loads or any(controller.hardware.noise):

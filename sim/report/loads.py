@@ -60,7 +60,7 @@ def dives(scope: Scope) -> dict[str, float]:
 
 
 def loads_section(scope: Scope) -> Document:
-    """Returns the section on loads on a flat road: their course, the body's angles and rest."""
+    """Returns the section on loads on a flat road: loads over time, and the angles of the body."""
     vehicle, road, names = scope.vehicle, loaded_road(scope.loads), PLUS.join(load.label for load in scope.loads)
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
     runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)

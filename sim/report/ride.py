@@ -1,4 +1,4 @@
-"""The ride section of a report: random roads of several classes, MuJoCo beside what the spectrum predicts."""
+"""The ride section of a report: random roads of several classes, in MuJoCo and as their spectrum predicts."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,8 +27,8 @@ from synth.controller.controller import AnyController, Controller
 
 CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
 AVERAGE = "C"  # the class that controllers are compared on
-WINDOW = 10.0  # s, in which is measured, once the loop has forgotten that it began from rest
-LONGEST = 20.0  # s; more than that no loop is waited for
+WINDOW = 10.0  # s of measurement, after the transient
+LONGEST = 20.0  # s, of a transient that is waited for
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ RIDE: tuple[Field[Ride], ...] = (
 
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
-    """Every controller over every class."""
+    """Returns the section: metrics of every controller on the roads of every class."""
     caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
     rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
@@ -88,7 +88,7 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, St
 
 
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
-    """The IRI of the first seconds of a class' roads as they are driven, and what is expected there of all of the class."""
+    """Returns the IRI of the roads driven of a class, over the measured distance, and its expectation over the class."""
     distance, width = SPEED * WINDOW, track_width(vehicle)
     roughness = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
     which = next(i for i, one in enumerate(roughness[0]) if one.name == ("mean" if width else "left"))
@@ -98,7 +98,7 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
 
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
-    """Every metric over the classes: lines are predicted, points MuJoCo."""
+    """Returns the figure of every metric over the classes: lines are predicted, markers are MuJoCo."""
     ticks = tuple(float(k) for k in range(len(CLASSES)))
     panels = []
     for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
@@ -132,7 +132,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
-    """Describes the table of ride, and the parts that its predictions leave out."""
+    """Returns sentences on the table of ride, and on the parts that its predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     without = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.is_curved
@@ -151,10 +151,10 @@ class OverRoads:
     """A controller in MuJoCo over the roads of some classes."""
 
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
-        """Drives it, by default over the roads of all classes."""
+        """Simulates the controller, by default over the roads of all classes."""
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
         linear = isinstance(controller, Controller)
-        # How long a law in Python takes to settle is not known.
+        # the settling time of a law in Python is unknown
         start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST
         time = sample_times(vehicle, start + WINDOW, timestep)
         length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
@@ -180,7 +180,7 @@ class OverRoads:
         return slice(first, first + len(SEEDS))
 
     def rides(self) -> Iterator[Ride]:
-        """Yields metric by metric of every class."""
+        """Yields every metric of every class."""
         vehicle, controller = self.vehicle, self.controller
         linear = isinstance(controller, Controller)
         ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)

@@ -13,7 +13,6 @@ from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import sample_times
-from sim.studies.frequency.identification import check
 from sim.studies.stability import TIMESTEP
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
@@ -44,8 +43,8 @@ class Scope:
         laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
-        exported: the controller that exported code drives, and that is reported; None without one.
-        own_road: the road that all is driven over instead of the paper's bump; None for that.
+        exported: the controller whose exported code is reported; None without one.
+        own_road: road of the report instead of the paper's bump; None for the bump.
         road_name: name of the road as given.
         duration: duration of the runs over either road [s].
     """
@@ -76,12 +75,12 @@ class Scope:
 
     @property
     def speed(self) -> float:
-        """Returns the speed that sinusoids are driven at [m/s]: on a rig, where the vehicle stands, that of the paper's bump."""
+        """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle stands on a rig."""
         return self.road.speed or Bump().speed
 
     @property
     def driven(self) -> tuple[AnyController, ...]:
-        """All that MuJoCo runs."""
+        """Returns all controllers that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: AnyController) -> bool:
@@ -90,16 +89,9 @@ class Scope:
 
     @property
     def noise_qualifier(self) -> str:
-        """Returns the noise and quantisation that a linear loop leaves out, after a comma; empty without them."""
+        """Returns the noise and quantisation that a linear loop omits, after a comma; empty without them."""
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
-
-    @property
-    def prompt(self) -> bool:
-        """Returns True if the controller acts at every timestep without delay: its loop then tends to the continuous one with the
-        step.
-        """
-        return self.vehicle.implementation.undelayed
 
     @cached_property
     def stable(self) -> list[Controller]:
@@ -107,12 +99,13 @@ class Scope:
         return [
             one
             for one in self.controllers
-            if (one.certificate.stable or not self.prompt) and LoopModel(self.vehicle, one, self.timestep).radius < 1
+            if (one.certificate.stable or not self.vehicle.implementation.undelayed)
+            and LoopModel(self.vehicle, one, self.timestep).radius < 1
         ]
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """The L2 gains of the implemented loops, by controller, if the vehicle file makes them differ."""
+        """Returns the L2 gains of the implemented loops, by controller, if these differ from the ideal loops."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
@@ -131,12 +124,12 @@ class Scope:
 
     @property
     def margins_timestep(self) -> float:
-        """The step that margins are found with [s]: that of `python -m sim.margins`, or the report's where that is finer."""
+        """Returns the timestep of the margins [s]: that of `python -m sim.margins`, or the report's if that is finer."""
         return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:
-        """The step of the map's many runs [s]: about twice the report's, a part of the controller's sample period."""
+        """Returns the timestep of the map's runs [s]: about twice the report's, a divisor of the controller's sample period."""
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
@@ -148,18 +141,8 @@ class Scope:
 
 
 def file_stem(vehicle: Vehicle) -> str:
-    """Returns the name of a vehicle's file without its ending, or of its kind where it is of no file."""
+    """Returns the name of a vehicle's file without its suffix, or its type if it has no file."""
     return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
-
-
-def check_scope(vehicle: Vehicle, timestep: float) -> None:
-    """Checks that a vehicle can be reported at this timestep, before any work.
-
-    Raises:
-        InputError: the timestep is too coarse, or the controller's sample period is not a multiple of it.
-    """
-    check(vehicle, (), AMPLITUDE, timestep)
-    steps_per_sample(vehicle.implementation, timestep)
 
 
 NAME = Field[AnyController]("controller", lambda one: one.name)

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.formats import digits
-from models.common.printed import as_name
+from models.common.printed import as_name, digits
 from models.document.document import Document, Table
 from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
@@ -37,7 +36,7 @@ PANELS = {  # of the first figure
 def first_screen(
     scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
 ) -> Document:
-    """Returns what is seen first: requirements if there are some, the comparison of controllers, and the same as bars.
+    """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
 
     Args:
         compared: the controllers' standings, over the roads of `compared_on`.
@@ -72,7 +71,7 @@ def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Stan
 
 
 def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
-    """Returns the goals and limits of the vehicle file, and who keeps them; None without any.
+    """Returns the goals and limits of the vehicle file and the controllers that meet them; None without any.
 
     Goals are compared with what is proved, limits with the run over the road.
     """

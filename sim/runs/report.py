@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.formats import entry
-from models.common.printed import as_name, finite, percent
+from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.kinds.kind import MOST_SQUEEZE
@@ -74,11 +73,10 @@ OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SIZE = Field[float]("size", float, ".5g")  # of a signal
-SOURCES = {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}
 SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form)
     for what in ("peak", "rms")
-    for name, source in SOURCES.items()
+    for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()
 )
 
 

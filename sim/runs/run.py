@@ -9,7 +9,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import brief
 from models.document.document import Block, Document
 from models.document.figure import BLUE, Figure, Style
 from models.document.text import Shown, facts
@@ -84,7 +83,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
             raise InputError(f"{name} = {value} s is not allowed; give a number above 0")
     largest = largest_timestep(vehicle)
     if timestep > largest:
-        above = f"RK4 is unstable on this vehicle above {brief(largest)} s"
+        above = f"RK4 is unstable on this vehicle above {largest:.3g} s"
         lag = max((damper.bandwidth or 0.0 for damper in vehicle.dampers.values()), default=0.0)
         if lag * largest > RK4_REACH:
             raise InputError(

@@ -1,13 +1,12 @@
 """Signals of runs over time as one CSV table: time first, then a column for each signal, run and source of the numbers."""
 
-import csv
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from models.common.arrays import Array
-from models.common.files import whole_file
+from models.document.reading import write_rows
 from sim.response.response import Response
 from sim.runs.result import RunResult
 
@@ -43,11 +42,8 @@ def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time [s]", *(heading for heading, _ in columns)])
-        cells = (map(_cell, values) for _, values in columns)
-        writer.writerows(itertools.zip_longest(map(float, time), *cells, fillvalue=""))
+    headings, cells = ["time [s]", *(heading for heading, _ in columns)], (map(_cell, values) for _, values in columns)
+    write_rows(path, itertools.chain([headings], itertools.zip_longest(map(float, time), *cells, fillvalue="")))
 
 
 def _cell(value: float) -> float | str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, quoted
-from models.common.formats import digits, rough
+from models.common.printed import digits, rough
 from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
 from synth.analysis.specification import FREQUENCY
 from synth.analysis.stability import Stability, stability

@@ -34,7 +34,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
-from models.common.formats import about, difference, digits, magnitude
+from models.common.printed import about, difference, digits, magnitude
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts

@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.formats import exactly
+from models.common.printed import exactly
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound

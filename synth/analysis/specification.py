@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.formats import digits
-from models.common.printed import finite
+from models.common.printed import digits, finite
 from models.document.field import Field
 
 SAMPLED_NORM = "sampled_norm"  # of the sampled loop, in records; checked if the implementation is known

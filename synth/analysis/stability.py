@@ -19,7 +19,7 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from models.common.formats import rough, signed
+from models.common.printed import rough
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
@@ -162,7 +162,7 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
         turning = f"{abs(pole.imag):+.{digits}g}j, |z| = {size:.{digits}g}" if pole.imag else ""
         return f"z = {pole.real:.{digits}g}{turning}"
     if pole.imag:
-        return f"{rough(pole.real)}{signed(abs(pole.imag))}j rad/s"
+        return f"{rough(pole.real)}{abs(pole.imag):+.4g}j rad/s"
     return f"{rough(pole.real)} {'1/s' if pole.real else 'rad/s'}"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import exactly
+from models.common.printed import exactly
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import margin, rough
-from models.common.printed import as_name, by_text
+from models.common.printed import as_name, by_text, rough
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import disk_margin
@@ -41,7 +40,7 @@ class LawMargins:
         winds_up: description of where the forces are clipped if the law winds up there; empty otherwise.
         gain: factor above 1 and up to `LEAST_GAIN` at which the loop is unstable, or infinity.
         gain_lower: factor below 1, down to the inverse, at which the loop is unstable, or 0.
-        disk: symmetric disk margin, from 0 to 2; None if the ideal loop is unstable or no measurement makes a force.
+        disk: symmetric disk from 0 to 2; None if the ideal loop is unstable or no measurement makes a force.
     """
 
     growth: float
@@ -66,13 +65,13 @@ class LawMargins:
     @property
     def pair(self) -> str:
         """Gain and disk margin as a pair, "-" for a gain margin that is not small."""
-        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{margin(self.disk)}"
+        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{self.disk:#.2g}"
 
     @property
     def small(self) -> str:
         """The margins that are small, in words; empty without any."""
         texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
-        texts += [f"disk margin {margin(self.disk)}"] if self.disk is not None and self.disk < LEAST_DISK else []
+        texts += [f"disk margin {self.disk:#.2g}"] if self.disk is not None and self.disk < LEAST_DISK else []
         return ", ".join(texts)
 
     @property

@@ -8,8 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError, listing
-from models.common.formats import NORM_DIGITS, rough
-from models.common.printed import as_name, finite, percent
+from models.common.printed import NORM_DIGITS, as_name, finite, percent, rough
 from models.document.field import Field
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw, gain_text

@@ -19,8 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import brief, digits, rough
-from models.common.printed import percent
+from models.common.printed import brief, digits, percent, rough
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound

@@ -15,8 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
-from models.common.formats import digits
-from models.common.printed import percent
+from models.common.printed import digits, percent
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts

@@ -25,7 +25,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound
 from models.common.errors import InputError
-from models.common.formats import magnitude
 from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate

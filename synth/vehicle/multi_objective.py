@@ -8,8 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in
-from models.common.formats import digits
-from models.common.printed import percent
+from models.common.printed import digits, percent
 from models.laws.goals import REGRET, EnergyBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import LinearLaw, static_law
 from models.roads.road import Road, delays, under_wheels

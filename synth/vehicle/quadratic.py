@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.formats import digits
+from models.common.printed import digits
 from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.formats import digits
+from models.common.printed import digits
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import digits
+from models.common.printed import digits
 from models.kinds.linear_model import LinearModel
 from models.laws.combinations import FULL
 from models.laws.filter import Filter

@@ -193,7 +193,7 @@ def test_page_is_of_no_vehicle(tmp_path, mine):
     """Options of a vehicle's report are refused, and a number that is not reproduced is the page's verdict and exit code."""
     pytest.importorskip("jinja2", reason="needs the extra [report]")
     for options in (["--controller", "I"], ["--quick"], ["--load", "brake:g=0.5"], ["--vehicle", "quarter_car"]):
-        with pytest.raises(InputError, match=f"{options[0]} is of a vehicle file's report"):
+        with pytest.raises(InputError, match=f"{options[0]} and --gallery cannot be combined"):
             report(["--gallery", *options])
     mine(ENTRY, "56.28")
     assert report(["--gallery", "--out", str(tmp_path / "wrong.html")]) == 1

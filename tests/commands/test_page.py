@@ -19,7 +19,7 @@ from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure,
 from models.document.outputs import check_outputs
 from models.document.page import Page, render
 from models.document.picture import DARKEST, FONT, cells, panel_svg, ticks, write_picture
-from models.document.reading import Pivot, aligned, notation, read
+from models.document.reading import Pivot, aligned, notation, read, write_rows
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
@@ -375,7 +375,7 @@ def test_one_notation():
     assert notation("controller a1e-05 and v1e5") == "controller a1e-05 and v1e5"
 
 
-def test_tables_are_for_reading():
+def test_tables_are_for_reading(tmp_path):
     """What is the same in all rows stands below, repeated remarks are footnotes, long tables are pivoted; files have all."""
     remark = "the solver of the paper stops early here"
     rows = tuple((f"row {k}", "N", remark if k else "same", f"{k + 1}.5") for k in range(16))
@@ -384,13 +384,15 @@ def test_tables_are_for_reading():
     assert shown.same == ("unit: N",)
     assert [row[1] for row in shown.rows] == ["same", *["(a)"] * 15]
     assert (shown.notes, shown.folded) == ((("a", remark),), True)
+    assert read(("what", "why", "value"), [(k, remark, k) for k in "xyz"], 2).notes == ()  # it is below, and no footnote
     rows = tuple((signal, "m/s2", name, f"{k}.25") for k, signal in enumerate("ab") for name in ("I", "II"))
     table = Table(
         "t", "of", ("signal", "unit", "controller", "peak"), rows, 3, Pivot(("signal", "unit"), "controller", ("peak",))
     )
     assert table.reading.headings == ("signal", "I", "II")
     assert table.reading.rows == (("a [m/s²]", "0.25", "0.25"), ("b [m/s²]", "1.25", "1.25"))
-    assert [tuple(row) for row in csv.reader(table.csv.splitlines())] == [table.headings, *rows]
+    write_rows(tmp_path / "t.csv", [table.headings, *table.rows])
+    assert [tuple(row) for row in csv.reader((tmp_path / "t.csv").read_text().splitlines())] == [table.headings, *rows]
 
 
 def test_a_figure_in_words():

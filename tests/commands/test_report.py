@@ -79,8 +79,8 @@ def test_remarks_of_the_paper(report, designer):
     _, result = report
     without = {row["controller"]: row for row in result["tables"]["without-l"]}
     assert [name for name, row in without.items() if row["gain"] != "none"] == ["I, states [33]"]
-    assert without["I, states [33]"]["state feedback"] == "499.63"
-    assert without["I, states [33]"]["bound"] == "510.34"
+    assert without["I, states [33]"]["state feedback"] == "499.632"
+    assert without["I, states [33]"]["bound"] == "510.3363"
     table = other_ways(designer)
     ways = {row[0]: dict(zip(table.headings, row, strict=True)) for row in table.rows}
     assert ways["II, two steps"]["gain"] == "[[-8968.54]]"
@@ -140,12 +140,12 @@ BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:ste
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep 0\.002 s"),
-        ("--speed 9", "--speed is of a road, and none is given"),
+        ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep, 0\.002 s"),
+        ("--speed 9", "--speed needs a road; give --road or --class"),
         ("--class B --road flat", "not both"),
         ("--vehicle half_car --load corner:g=0.3", "rolls"),
         ("--load push:g=1", "unknown load"),
-        ("--gallery --as ecu", "--as is of a vehicle file's report"),
+        ("--gallery --as ecu", "--as and --gallery cannot be combined"),
         (
             "--vehicle car.toml --controller mine --timestep 0.005",
             r"^controller 'mine', law mine.py:step: step fails \(ZeroDivision",

@@ -186,8 +186,8 @@ def test_the_picture_is_the_front(few):
             assert panel.xlim is not None
             assert panel.xlim[0] < x < panel.xlim[1]
         else:
-            assert f"{name} ({x:.4g}, {y:.4g})" in panel.title
-    assert "passive (35.07, 1.335)" in panel.title
+            assert f"{name} ({x:.7g}, {y:.7g})" in panel.title
+    assert "passive (35.07175, 1.33537)" in panel.title
 
 
 def test_what_is_written_is_one(quick, capsys, monkeypatch, tmp_path):

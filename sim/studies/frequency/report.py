@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from models.common.formats import difference
-from models.common.printed import as_name, percent
+from models.common.printed import as_name, difference, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, at_most
 from models.document.reading import MANY
@@ -23,32 +22,26 @@ from sim.studies.frequency.sweep import GAIN, Sweep, failures
 from sim.studies.frequency.worst_case_gain import MeasuredInvariant
 from synth.controller.report import NORM, judged_lines
 
-
-def error_digits(error: float) -> str:
-    """Returns the digits of a relative error."""
-    return difference(error) if error else "0"
-
-
 HZ = 1 / (2 * math.pi)  # from rad/s
 HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
 PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")
 RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
-    Field("error to sampled", lambda one: one.error(one.sampled).max(), error_digits),
-    Field("to continuous", lambda one: one.error(one.continuous).max(), error_digits),
+    Field("error to sampled", lambda one: one.error(one.sampled).max(), difference),
+    Field("to continuous", lambda one: one.error(one.continuous).max(), difference),
     Field("order of convergence", lambda one: one.order, ".2f", column="order of the two"),
 )
 SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
     Field("signal", lambda of: of[0].outputs[of[1]].replace("_", " ")),
-    Field("error to sampled", lambda of: of[0].error(of[0].sampled)[of[1]], error_digits),
-    Field("to continuous", lambda of: of[0].error(of[0].continuous)[of[1]], error_digits),
+    Field("error to sampled", lambda of: of[0].error(of[0].sampled)[of[1]], difference),
+    Field("to continuous", lambda of: of[0].error(of[0].continuous)[of[1]], difference),
 )
 GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("held-road norm", lambda one: one.extremes.worst.gain, GAIN.form),
-    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], GAIN.form),
+    Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
     Field(
         "share of norm",
         lambda one: one.gains["worst sinusoid"] / one.extremes.worst.gain,
@@ -72,7 +65,7 @@ INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("frequency", lambda of: of[1].omega, ".2f", unit="rad/s"),
     Field("for any suspension", lambda of: of[1].expected, ".6f"),
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
-    Field("difference", lambda of: of[1].error, error_digits),
+    Field("difference", lambda of: of[1].error, difference),
 )
 MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.formats import digits
-from models.common.printed import finite, finite_pairs
+from models.common.printed import digits, finite, finite_pairs
 from models.document.field import Field
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle

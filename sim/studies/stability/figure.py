@@ -30,7 +30,7 @@ MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
 SIZE = Field[float]("margin", float, ".5g")
 TIME = Field[float]("time", float, SIZE.form, 1e3, unit="ms")
-ERROR = Field[float]("error", float, SIZE.form, 100.0, unit="%")
+ERROR = Field[float]("error", float, ".4g", 100.0, unit="%")
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, BLUE, "o", "MuJoCo decays"),
     (True, VERMILLION, "x", "MuJoCo grows"),

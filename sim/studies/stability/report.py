@@ -23,6 +23,7 @@ from synth.controller.report import NORM
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
 IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
+AGREES = {True: "agrees", False: "DOES NOT AGREE"}
 UNDECIDED = "undecided: the slowest mode hardly changes"
 
 
@@ -65,7 +66,7 @@ VALUE = Field[float]("value", float, ".4g")
 CORNER: tuple[Field[ParameterVertex], ...] = (
     Field("norm", lambda corner: corner.norm, NORM.form),
     Field("motion in MuJoCo", lambda corner: "decays" if corner.decays else "GROWS"),
-    Field("linear response", lambda corner: "agrees" if corner.agrees else "DOES NOT AGREE"),
+    Field("linear response", lambda corner: AGREES[corner.agrees]),
 )
 BOX: tuple[Field[StabilityMargins], ...] = (
     Field("controller", lambda of: of.controller.name),
@@ -73,12 +74,8 @@ BOX: tuple[Field[StabilityMargins], ...] = (
     Field("largest norm", lambda of: of.box and of.box.norm, NORM.form, column="worst norm"),
     Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
     Field("at", lambda of: of.box and _values(of.box.at)),
-    Field(
-        "MuJoCo at the corners",
-        lambda of: of.box and ("agrees" if of.box.holds else "DOES NOT AGREE"),
-        column="corners: MuJoCo and analysis say the",
-    ),
-    Field("margins", lambda of: "DOES NOT AGREE" if of.wrong else "agrees"),
+    Field("MuJoCo at the corners", lambda of: of.box and AGREES[of.box.holds], column="corners: MuJoCo and analysis say the"),
+    Field("margins", lambda of: AGREES[not of.wrong]),
 )
 
 

@@ -1,6 +1,6 @@
 """Maps of validity and ends of the linear regime as documents, JSON, CSV and figures."""
 
-import csv
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.files import whole_file
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, apart, notes
 from models.document.field import Field, at_most
 from models.document.figure import BLACK, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
+from models.document.reading import write_rows
 from models.document.text import names_text
 from models.roads.road import Bump
 from models.suspension import LEAVES
@@ -35,14 +35,8 @@ OneEnd = tuple[Controller, RegimeEnd | None]
 SHARE = Field[float]("share of cells", float, "{:.1f} %".format, 100.0)
 HOLDS = Field[Cells]("linear analysis holds", lambda of: of.share(lambda one: one.error <= of.threshold), SHARE.form, 100.0)
 FIRST = tuple(
-    Field[Cells](
-        f"{end} first" if end else "no limit reached",
-        lambda of, i=i: float(np.mean(of.predicted == i)),
-        SHARE.form,
-        100.0,
-        column="" if end else "nothing breaks",
-    )
-    for i, end in enumerate(("", *END_NAMES), -1)
+    Field[Cells](name, lambda of, i=i: float(np.mean(of.predicted == i)), SHARE.form, 100.0, column=column)
+    for i, (name, column) in enumerate([("no limit reached", "nothing breaks"), *((f"{end} first", "") for end in END_NAMES)], -1)
 )
 VALIDITY = (
     Field[Cells]("controller", lambda cells: cells.controller.name),
@@ -51,14 +45,15 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
+RUN_HEIGHT = Field[float]("height", float, ".5g")  # of a run, to repeat it
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
     Field("predicted end", lambda of: of[1].predicted_end if of[1] else "at no height"),
-    Field("at", lambda of: of[1] and of[1].predicted, HEIGHT.form, unit="m"),
-    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, HEIGHT.form, unit="m"),
+    Field("at", lambda of: of[1] and of[1].predicted, RUN_HEIGHT.form, unit="m"),
+    Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, RUN_HEIGHT.form, unit="m"),
     Field("off by, of a peak", lambda of: of[1] and of[1].error, "{:.1e}".format),
-    Field("and not at", lambda of: of[1] and of[1].leaves, HEIGHT.form, unit="m"),
+    Field("and not at", lambda of: of[1] and of[1].leaves, RUN_HEIGHT.form, unit="m"),
     Field("ended by", lambda of: of[1] and (of[1].end or "nothing")),
 )
 
@@ -68,11 +63,9 @@ def write_csv(path: Path, cells: Cells) -> None:
     rows, shares = _cells(cells), [f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}" for end in END_NAMES]
     last = [key for key in ("missing_force", "simulated") if key in rows[0]]
     first = [key for key in rows[0] if key not in last]
-    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*first, *shares, *last, "map_complete"])
-        for row, used in zip(rows, cells.used.tolist(), strict=True):
-            writer.writerow([*(row[key] for key in first), *used, *(row[key] for key in last), True])
+    pairs = zip(rows, cells.used.tolist(), strict=True)
+    lines = ([*(row[key] for key in first), *used, *(row[key] for key in last), True] for row, used in pairs)
+    write_rows(path, itertools.chain([[*first, *shares, *last, "map_complete"]], lines))
 
 
 def envelope_object(cells: Cells) -> dict[str, Any]:

@@ -12,8 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import brief, digits
-from models.common.printed import percent
+from models.common.printed import brief, digits, percent
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges

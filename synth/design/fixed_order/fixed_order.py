@@ -20,9 +20,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.formats import entry
 from models.laws.combinations import PID
-from models.laws.law_structure import GAINS, ITS_GAINS, LawStructure
+from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, LawStructure, pid_tables
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
@@ -160,12 +159,8 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
 
 def gains_text(structure: LawStructure, law: LinearLaw) -> str:
     """Returns the gains of a PI or PID law as in `pid` of a vehicle file, a table for each force."""
-    gain, texts = gains_on_filters(structure, law), []
-    filter = f", filter = {structure.filter:g}" if structure.kind == PID else ""
-    for each in gain:
-        named = ", ".join(f"{name} = {entry(value)}" for name, value in zip(GAINS, each, strict=False))
-        texts.append(f"pid = {{ {named}{filter} }}")
-    return ", ".join(texts)
+    filter = {FILTER: structure.filter} if structure.kind == PID else {}
+    return pid_tables([dict(zip(GAINS, each, strict=False)) | filter for each in gains_on_filters(structure, law)])
 
 
 class _Search:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import digits
+from models.common.printed import digits
 from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate

@@ -17,8 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Positive
 from models.common.errors import InputError
-from models.common.formats import about, brief, digits, rough
-from models.common.printed import percent
+from models.common.printed import about, brief, digits, percent, rough
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -328,10 +327,8 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     """Returns the sample period that a fast pole requires and the cost of a slower law, in words; empty without one."""
     if best.excess == 1:
         return ""
-    slower = [each for each in trade if each.excess == 1]
-    more = ""
-    if slower:
-        more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {digits(slower[-1].norm)}"
+    slower = next((each for each in reversed(trade) if each.excess == 1), None)
+    more = f"; fastest_pole = {_upwards(slower.pole):g} gives a slower law of norm {digits(slower.norm)}" if slower else ""
     return (
         f"its fastest pole is {brief(best.pole)} rad/s, {about(best.speed_up)} times the fastest of the plant: a computer with a "
         f"sample period of {1 / best.pole:.1g} s or more cannot run this law{more}"

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.formats import digits
-from models.common.printed import finite, percent
+from models.common.printed import digits, finite, percent
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate

@@ -1,6 +1,5 @@
 """Output of a trade-off: text, JSON, CSV and a picture."""
 
-import csv
 import math
 from operator import itemgetter
 from pathlib import Path
@@ -9,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.files import whole_file
-from models.common.formats import NORM_DIGITS, entry
-from models.common.printed import as_name, by_text, finite
+from models.common.printed import NORM_DIGITS, as_name, by_text, entry, finite
 from models.document.document import Document, Table, notes
 from models.document.field import Field, json_object
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
+from models.document.reading import write_rows
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import MARKED, Front, Point
@@ -126,8 +124,7 @@ def write_csv(front: Front, path: Path) -> None:
         numbers = [*one.values, *(norm.proved for norm in one.norms), *(field.value(one) for field in NUMBERS)]
         gain = one.controller.gain.ravel().tolist() if own else [None] * len(entries)
         rows.append([i + 1 if own else one.controller.name, *map(finite, numbers), *gain])
-    with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
+    write_rows(path, rows)
 
 
 def _object(front: Front, point: Point) -> dict[str, Any]:
