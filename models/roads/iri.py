@@ -204,7 +204,7 @@ def why_none(road: Road) -> str:
     """Returns a note that a road from a file has no IRI as its points are too far apart; empty for other roads."""
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
-    coarse = f"no iri: the road's points are {brief(step)} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
+    coarse = f"no iri: the road's points are {step:.3g} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
     return coarse if step > COARSEST * (1 + EVEN) else ""
 
 

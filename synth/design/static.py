@@ -252,9 +252,7 @@ class GainSearch:
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
         candidates += [
-            each
-            for x in sampled
-            for each in self.admitted(x, f"a random gain of {magnitude(10 ** np.floor(np.log10(abs(x).max())))}")
+            each for x in sampled for each in self.admitted(x, f"a random gain of {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
         alone = np.isinf(self.rival)
         numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)

@@ -117,7 +117,7 @@ def test_cars(kind):
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
     said = "this design needs noise on every measurement"
-    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed for what is missing"
+    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark
@@ -142,7 +142,7 @@ def test_a_force_that_costs_nothing():
     """If z does not weigh a force a small cost is assumed, and said."""
     plant, Cy, Dyw = noisy(2, 0.4)
     free = replace(plant, D=0 * plant.D)
-    assert "a cost for forces" in lqr_design(free).remark
+    assert "a cost of every force" in lqr_design(free).remark
     assert "noise" not in h2_design(free, Cy, Dyw).remark
     assert lqr_design(free).h2_norm < lqr_design(plant).h2_norm
 
