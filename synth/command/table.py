@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from models.common.errors import listing
 from models.common.printed import WIDTH, as_name, finite, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
 from models.document.field import Field, json_object
@@ -160,7 +161,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     if not (apart or vehicle.implementation.undelayed):
         text = "The column sampled is the norm of the sampled-data loop, including the motion between samples"
         blocks += notes(f"{text}: {built_words(vehicle)}.")
-    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
+    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle), *_unlimited(vehicle, controllers))
     blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
@@ -170,6 +171,18 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
         sampled_rows = [row for row in rows if row.sampled is not None]
         blocks.append(Table.of("norms", caption, NORMS, sampled_rows, detail="normal" if apart else "full"))
     return Document("Designs and certificates", tuple(blocks))
+
+
+def _unlimited(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
+    """Returns a note on forces without a weight, if a controller is designed: nothing keeps its gains small."""
+    weighted = {*vehicle.performance, *(term for one in vehicle.sums if one.name in vehicle.performance for term in one.terms)}
+    free = [force for force in vehicle.linear_model.inputs if force not in weighted]
+    entries = vehicle.controllers
+    if not free or all(one.name == "passive" or (one.name in entries and entries[one.name].law) for one in controllers):
+        return []
+    return [
+        f"No weight limits {listing(free)}, so gains can become very large: add {free[0]} = 1e-4 to [performance], for example."
+    ]
 
 
 def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
