@@ -300,10 +300,10 @@ LONGEST_STROKE, SOFTEST_STOP = 2.0, 1e3  # m, N/m
 
 
 def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
-    """Returns questions about units that are probably not SI: a body that hardly moves, or cannot; a stroke of metres.
+    """Returns questions about units that are probably not SI: corners far apart, a body that hardly moves, a stroke of metres.
 
-    Corners whose parameters are far apart are asked about first. For the body, springs and dampers of all corners count
-    together, so the numbers are rough. Nothing is asked of a body without mass or springs.
+    For the body, springs and dampers of all corners count together, so the numbers are rough. Nothing is asked of a body
+    without mass or springs.
 
     Args:
         parameters: parameters of the vehicle, by name [SI].
@@ -318,7 +318,7 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
     for start, unit in PAIRED.items():
         corners = sorted((value, name) for name, value in parameters.items() if name.startswith(start) and value)
         if corners and (apart := corners[-1][0] / corners[0][0]) > MOST_APART:
-            doubts.append(f"{corners[-1][1]} is {apart:.0f} times {corners[0][1]}; are both in {unit}?")
+            doubts.append(f"{corners[-1][1]} is {round(apart)} times {corners[0][1]}; are both in {unit}?")
     if mass and k and not doubts:
         frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
         if not SLOWEST_BODY <= frequency <= FASTEST_BODY:

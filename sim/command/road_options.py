@@ -156,19 +156,12 @@ def starts_later(options: argparse.Namespace) -> bool:
 def end_lines(road: "Road", duration: float) -> list[str]:
     """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
     ends = road.duration
-    if early := ends_early(road, duration):
-        return wrapped(f"{early}: --duration {ends:.4g} measures the road alone")
     if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
         return []
-    return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
-
-
-def ends_early(road: "Road", duration: float) -> str:
-    """Returns a sentence on a road from a file that ends before the run, of this duration [s]; empty for other roads."""
-    ends = road.duration
-    if road.points is None or ends > duration or math.isclose(ends, duration, rel_tol=NEARLY):
-        return ""
-    return f"the road's points end at {ends:.4g} s of {duration:g} s; it is straight from there on, which lowers every rms"
+    if ends > duration:
+        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
+    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is straight from there on, which lowers every rms"
+    return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
 def road_text(options: argparse.Namespace) -> str:

@@ -174,15 +174,11 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
 
 
 def _unlimited(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns a note on forces without a weight, if a controller is designed: nothing keeps its gains small."""
-    weighted = {*vehicle.performance, *(term for one in vehicle.sums if one.name in vehicle.performance for term in one.terms)}
-    free = [force for force in vehicle.linear_model.inputs if force not in weighted]
-    entries = vehicle.controllers
-    if not free or all(one.name == "passive" or (one.name in entries and entries[one.name].law) for one in controllers):
-        return []
-    return [
-        f"No weight limits {listing(free)}, so gains can become very large: add {free[0]} = 1e-4 to [performance], for example."
-    ]
+    """Returns a note on forces without a weight, which nothing keeps small, if a controller is designed."""
+    given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
+    free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
+    text = f"No weight limits {listing(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
+    return [text.format(free[0])] if free and not given.issuperset(one.name for one in controllers) else []
 
 
 def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
