@@ -66,7 +66,7 @@ class RoadWithLoads(DerivedRoad):
                 if name not in names:
                     able = " and ".join(WAYS[way] for way in names) if names else "has no body that loads can push"
                     raise InputError(
-                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able};  "
+                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able}; "
                         "take another load or vehicle"
                     )
             for name, values in values_of(load).items():

@@ -44,7 +44,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     campaign = read_campaign(options.file)
     first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
     for road in campaign.roads:
-        if road.profile is not None and (remark := road.profile.gap(fastest * lasts)):
+        if road.profile is not None and (remark := road.profile.gap(max(campaign.speeds) * campaign.duration)):
             complain(f"remark: road {road.text!r}: {remark}")
         if road.kind == "profile" and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts:
             after = "it is straight from there on, which lowers every rms"
