@@ -242,6 +242,10 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
         ("folder", "is a folder"),
         (bytes(range(256)), "not a text file in UTF-8"),
         (b"", "'type' is missing"),
+        (
+            b'type = "x"\n[parameters]',
+            "'performance' is missing; give parameters, performance, type, as `roadproof new my_car.toml` w",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_read(tmp_path, content, said):
