@@ -244,7 +244,7 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
         (b"", "'type' is missing"),
         (
             b'type = "x"\n[parameters]',
-            "'performance' is missing; give parameters, performance, type, as `roadproof new my_car.toml` w",
+            "'performance' is missing; give parameters, performance, type, as `roadproof new` writes",
         ),
     ],
 )
