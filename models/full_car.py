@@ -29,9 +29,11 @@ PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, mass of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x, roll inertia of the body about its centre of mass"),
-    Parameter("track", "m", "b, distance of left and right wheels, on both axles", optional=True),
-    *rigid_body.per_axle("track", "m", "b, distance of the wheels on this axle, instead of `track`", optional=True),
-    *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle"),
+    Parameter("track", "m", "b, distance of left and right wheels, on both axles", optional=True, largest=rigid_body.LONGEST),
+    *rigid_body.per_axle(
+        "track", "m", "b, distance of the wheels on this axle, instead of `track`", optional=True, largest=rigid_body.LONGEST
+    ),
+    *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle", largest=rigid_body.LONGEST),
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u, mass of one wheel with hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s, damping coefficient at one wheel", positive=False),

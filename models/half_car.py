@@ -12,7 +12,7 @@ CORNERS = rigid_body.AXLES
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, mass of half of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of half of the body about its centre of mass"),
-    *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle"),
+    *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle", largest=rigid_body.LONGEST),
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", positive=False),
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s, damping coefficient", positive=False),

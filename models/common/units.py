@@ -41,6 +41,8 @@ COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
+TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # as in N-s/m, kg.m2
+POUND = re.compile(r"\blbs?\b")
 
 
 def unit_named(text: str) -> str:
@@ -68,9 +70,10 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         expected = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
-        raise InputError(
-            f"{said} has the {'unknown ' * (not size)}unit {quoted(written)}, but {expected}, as in {_example(unit)}"
-        )
+        force = POUND.sub("lbf", written)  # a pound is a mass
+        example = f'"{number} {force}"' if not pure and unit_size(force, unit) else _example(unit)
+        unknown = "unknown " * (size is None)
+        raise InputError(f"{said} has the {unknown}unit {quoted(written)}, but {expected}, as in {example}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
@@ -103,7 +106,7 @@ def _example(unit: str) -> str:
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
     """Returns the size of a unit in SI and its powers of kg, m and s; None if it is unknown. All behind a slash divides."""
     size, powers = Fraction(1), (0, 0, 0)
-    text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", unit.translate(SIGNS))  # as in N/(m/s)
+    text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))  # as in N/(m/s)
     for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
         for factor in part.split():
             match = FACTOR.fullmatch(factor)

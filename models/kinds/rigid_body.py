@@ -57,13 +57,14 @@ CENTRE_HEIGHT = Parameter(
     "centre_height", "m", "h, of the centre of mass above the ground; braking and cornering apply the moment m_s a h", usual=0.55
 )
 AXLES = ("front", "rear")
+LONGEST = 50.0  # m, of distances between wheels; more are millimetres
 
 
 def per_axle(
-    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None, optional: bool = False
+    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None, **options: Any
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter of every axle."""
-    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, optional=optional) for axle in AXLES)
+    """Returns a parameter of every axle, with these further options of `Parameter`."""
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, **options) for axle in AXLES)
 
 
 @dataclass(frozen=True)

@@ -597,7 +597,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             raise InputError(f"unknown {what} {section!r}; known: {listing(SECTIONS)}")
     for section in SECTIONS[:3]:
         if section not in data:
-            raise InputError(f"{section!r} is missing; a vehicle file has {listing(SECTIONS)}")
+            raise InputError(f"{section!r} is missing; give {listing(SECTIONS[:3])}, as `roadproof new` writes them")
     for section in SECTIONS[1:]:
         if not isinstance(data.get(section, {}), dict):
             raise InputError(f"{section!r} is not a section; write it as [{section}]")

@@ -31,6 +31,7 @@ from sim.physics import RUNS_AT_ONCE
 from sim.studies.ride.standing import standings_object
 
 FINISHED = "give a folder of a finished campaign's results"
+MOST_OF_A_RUN = 0.99  # on a road from a file
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
 
@@ -41,9 +42,13 @@ def run_campaign(options: argparse.Namespace) -> int:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
     """
     campaign = read_campaign(options.file)
+    first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
     for road in campaign.roads:
         if road.profile is not None and (remark := road.profile.remark(max(campaign.speeds) * campaign.duration)):
             complain(f"remark: road {road.text!r}: {remark}")
+        if road.kind == "profile" and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts:
+            after = "it is straight from there on, which lowers every rms"
+            complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
     request = requested(campaign, options.best, options.subject_to or (), options.save)
     read = [options.file, *(file for vehicle in campaign.vehicles.values() for file in vehicle.files)]
     check_outputs({"picture": options.picture, "save": options.save}, read, options.json)

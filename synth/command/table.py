@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from models.common.errors import listing
 from models.common.printed import WIDTH, as_name, finite, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
 from models.document.field import Field, json_object
@@ -160,7 +161,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     if not (apart or vehicle.implementation.undelayed):
         text = "Column 'sampled' is the norm of the sampled-data loop, including the motion between samples"
         blocks += notes(f"{text}: {built_words(vehicle)}.")
-    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
+    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle), *_unlimited(vehicle, controllers))
     blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
@@ -170,6 +171,14 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
         sampled_rows = [row for row in rows if row.sampled is not None]
         blocks.append(Table.of("norms", caption, NORMS, sampled_rows, detail="normal" if apart else "full"))
     return Document("Designs and certificates", tuple(blocks))
+
+
+def _unlimited(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
+    """Returns a note on forces without a weight, which nothing keeps small, if a controller is designed."""
+    given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
+    free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
+    text = f"No weight limits {listing(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
+    return [text.format(free[0])] if free and not given.issuperset(one.name for one in controllers) else []
 
 
 def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:

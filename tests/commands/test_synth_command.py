@@ -127,6 +127,17 @@ def test_the_case_is_said(capsys, tmp_path):
         assert not any(map(any, row["gain"]))
 
 
+@pytest.mark.parametrize("weighted", [True, False])
+@pytest.mark.parametrize("name", ["state", "II_printed", "passive"])
+def test_forces_without_a_weight_are_named(name, weighted, capsys, tmp_path):
+    """The text names the forces that no weight limits if a controller is designed, and not for a given gain."""
+    text = read_vehicle("quarter_car").text
+    (tmp_path / "car.toml").write_text(text if weighted else re.sub("^control_force = .*$", "", text, flags=re.MULTILINE))
+    main(["--vehicle", str(tmp_path / "car.toml"), "--controller", name])
+    said = "No weight limits control_force, so gains can become very large: add control_force = 1e-4 to [performance]"
+    assert (said in prose(capsys.readouterr().out)) == (name == "state" and not weighted)
+
+
 def test_text_says_where_there_is_no_limit(capsys, tmp_path):
     """For the deflection alone, one signal and one force, control can change all; it is said, and in JSON it is null."""
     text = read_vehicle("quarter_car").text

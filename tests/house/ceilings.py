@@ -116,7 +116,7 @@ recordings: MCAP, Foxglove, Rerun                              2170   1138     4
 page and figures                                               4134   1352     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2475   1539    158
+campaigns                                                      2480   1539    158
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               765    335     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py

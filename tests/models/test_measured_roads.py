@@ -293,7 +293,9 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
     (tmp_path / "roads.csv").write_text("0,0\n1,0\n2,0\n3,0\n40,0\n")
     (tmp_path / "gap.toml").write_text(text.replace(f'"{UNEVEN}"', '"roads.csv"'))
     assert campaign([str(tmp_path / "gap.toml"), "--results", str(tmp_path / "gap")]) == 0
-    assert "remark: road 'roads.csv': there is no point between 3 m and 40 m" in capsys.readouterr().err
+    err = prose(capsys.readouterr().err)
+    assert "remark: road 'roads.csv': there is no point between 3 m and 40 m" in err
+    assert "remark: road 'roads.csv' ends before a run of 2 s at 22.2222 m/s does; it is straight from there on" in err
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])

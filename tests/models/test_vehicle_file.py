@@ -242,6 +242,10 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
         ("folder", "is a folder"),
         (bytes(range(256)), "not a text file in UTF-8"),
         (b"", "'type' is missing"),
+        (
+            b'type = "x"\n[parameters]',
+            "'performance' is missing; give parameters, performance, type, as `roadproof new` writes",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_read(tmp_path, content, said):
@@ -260,6 +264,7 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
     [
         ("suspension_stiffness", 42.7, "natural frequency is about 0.046 Hz"),  # N/mm
         ("suspension_damping", 1.095e6, "damping ratio is about"),  # kN s/m, times 1000
+        ("suspension_damping", 1.095, "damping ratio is about 0.00021; is the damping in N s/m?"),  # N s/mm
         ("sprung_mass", 0.5045, "natural frequency is about 26 Hz"),  # tonnes
         ("suspension_stroke", 60.0, "suspension_stroke is 60 m"),  # mm
         ("suspension_stroke", "{ bump = 60.0 }", "suspension_stroke.bump is 60 m"),
@@ -275,6 +280,23 @@ def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
     asked = prose(capsys.readouterr().err)
     assert said in asked
     assert ("stop_stiffness is 100 N/m" in asked) == (name == "suspension_stroke")  # N/mm
+
+
+@pytest.mark.parametrize(("name", "value", "said"), [
+    ("suspension_stiffness_front", 18.0, "suspension_stiffness_rear is 1222 times suspension_stiffness_front; are both in N/m?"),
+    ("suspension_damping_rear", 1.0, "suspension_damping_front is 1000 times suspension_damping_rear; are both in N s/m?"),
+    ("unsprung_mass_front", 0.04, "unsprung_mass_rear is 1125 times unsprung_mass_front; are both in kg?"),
+    ("suspension_damping_rear", 0.0, None),  # a damper may be absent
+    ("axle_distance_front", 1300, "to 50 m"),
+])  # fmt: skip
+def test_one_axle_in_another_unit_is_asked_about(name, value, said):
+    """A number of one axle in another unit than the other's is asked about, in one question; a distance in mm is refused."""
+    text = re.sub(rf"^{name} = .*$", f"{name} = {value}", read_vehicle("half_car").text, flags=re.MULTILINE)
+    if name == "axle_distance_front":
+        with refused("axle_distance_front = 1300 is not allowed; give a number from", said):
+            parse_vehicle(text)
+    else:
+        assert parse_vehicle(text).doubts == ([said] if said else [])
 
 
 def test_a_map_asks_about_units_too(tmp_path, capsys):

@@ -20,6 +20,7 @@ KNOWN = [  # from the constants of scipy
     ("8 Hz", "rad/s", 16 * math.pi), ("8 Hz", "Hz", 8), ("50 rad/s", "Hz", 50 / (2 * math.pi)), ("60 rpm", "Hz", 1),
     ("22 N/mm", "N/m", 22e3), ("120 lbf/in", "N/m", 120 * constants.lbf / constants.inch), ("400 N/cm3", "N/m3", 4e8),
     ("1.5 kN s/m", "N s/m", 1500), ("1.5Ns/mm", "N s/m", 1500), ("1500 N/(m/s)", "N s/m", 1500), ("2 kN*s/m", "N s/m", 2000),
+    ("1500 N-s/m", "N s/m", 1500), ("7 lbf-s/in", "N s/m", 7 * constants.lbf / constants.inch), ("9 kg.m2", "kg m2", 9),
     ("300 lb", "kg", 300 * constants.lb), ("1.2 t", "kg", 1200), ("1222 kg·m²", "kg m2", 1222), ("1 kNm", "N m", 1000),
     ("2 deg", "rad", 2 * constants.degree), ("0.5 g", "m/s2", constants.g / 2), ("5 mg", "m/s2", 5e-3 * constants.g),
     ("5 ms", "s", 5e-3), ("2 min", "s", 120), ("5ms", "ms", 5), ("10 %", "1", 0.1), ("0.252 MN/m", "N/m", 252e3),
@@ -42,6 +43,7 @@ def test_sizes_of_units(text, unit, value):
     ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', but a unit of m/s is expected, as in \"1.5 m/s\""),
     ("504,5 kg", "kg", "key = '504,5 kg' has a decimal comma; write a decimal point, as in \"1.5 kg\""),
     ("200 Hz", "s", "key = '200 Hz' has the unit 'Hz', but a unit of s is expected, as in \"1.5 s\""),
+    ("114 lbs/in", "N/m", "key = '114 lbs/in' has the unit 'lbs/in', but a unit of N/m is expected, as in \"114 lbf/in\""),
     ("2 kg", "g", "key = '2 kg' has the unit 'kg', but a unit of g is expected, as in \"1.5 g\""),
 ])  # fmt: skip
 def test_wrong_units(text, unit, said):
