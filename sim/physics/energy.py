@@ -103,7 +103,7 @@ class Energy(Shown):
         """Returns whether it balances, and the energies."""
         names = ("road", "actuators", "loads", "stored", "dissipated")
         joules = {name: f"{getattr(self, name):.4g} J" for name in names if getattr(self, name) is not None}
-        return facts(f"energy {self.verdict}: all but {self.residual:.1e} of the {self.turnover:.4g} J turned over", joules)
+        return facts(f"energy {self.verdict}: the residual is {self.residual:.1e} of the {self.turnover:.4g} J exchanged", joules)
 
     @property
     def fails(self) -> bool:

@@ -162,8 +162,8 @@ class _Loop:
             passive = one is None or isinstance(one, RecordedForces) or (isinstance(one, Controller) and not one.law.acts)
             if vehicle.kind.ratios and not passive:
                 raise InputError(
-                    f"controller {one.name!r} pushes through {next(iter(vehicle.kind.ratios))}, which changes with travel in "
-                    "[curves], but runs with control need a constant ratio; run passive, or give the ratio in [parameters]"
+                    f"controller {one.name!r} needs a constant {next(iter(vehicle.kind.ratios))}, but in [curves] it changes "
+                    "with travel; run passive, or give the ratio in [parameters]"
                 )
         first, timestep = self.vehicles[0], course.timestep
         self.model, self.readout = prepared(first, timestep)

@@ -348,10 +348,10 @@ def test_controllers_that_cannot_run_are_left_out(command, tmp_path, capsys):
     options = ["--vehicle", str(file), *(["--no-logs", "--duration", "0.2"] if command == "sim.bump" else [])]
     main_of(command)([*options, "--controller", "all"])
     printed = capsys.readouterr()
-    assert "left out: state; motion_ratio changes with travel in [curves]" in printed.err
+    assert "not simulated: state; control needs a constant motion_ratio, but in [curves] it changes with travel" in printed.err
     assert "passive" in printed.out
     assert "state" not in printed.out
-    with refused("controller 'state' pushes through motion_ratio"):
+    with refused("controller 'state' needs a constant motion_ratio"):
         main_of(command)([*options, "--controller", "state"])
 
 
@@ -364,7 +364,7 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
     table = read_vehicle(tmp_path / "car.toml").kind.ratios["motion_ratio"]
     assert {"deflection": table.x.tolist(), "ratio": table.ratio.tolist()} == TABLE
     good = text + "{ deflection = [-0.1, 0.1], ratio = [0.7, 0.5] }\n"
-    with pytest.raises(InputError, match="controller 'state' pushes through motion_ratio"):
+    with pytest.raises(InputError, match="controller 'state' needs a constant motion_ratio"):
         driven(parse_vehicle(good), "state", "bump")
     for wrong, words in (
         (shipped.replace("[parameters]", "[parameters]\nmotion_ratio = 60.0", 1), "motion_ratio = 60"),

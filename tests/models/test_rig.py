@@ -138,7 +138,7 @@ def test_what_is_twice_in_a_campaign(tmp_path):
     written(rig, tmp_path / "other.csv", [*CORNERS[2:], *CORNERS[:2]])
     text = 'vehicles = ["full_car"]\ncontrollers = ["passive"]\nspeeds = [10.0]\nduration = 0.1\n'
     read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=other.csv"]\n'))
-    with pytest.raises(InputError, match="are the same; list each once"):
+    with pytest.raises(InputError, match="are the same; list only one of them"):
         read_campaign(_file(tmp_path, text + 'roads = ["rig:file=drive.csv", "rig:file=drive.csv:time_unit=s"]\n'))
 
 
@@ -212,8 +212,8 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),
         (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was given"),
-        (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a rig, on which"),
-        (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed chooses a random road"),
+        (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a test rig, on which"),
+        (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed selects a random road"),
         (["--road", "DRIVE"], "heights over time are of a rig's posts: give rig:file=..."),
     ],
 )
