@@ -107,7 +107,7 @@ def test_end_of_the_linear_regime(which, request, real_file, tmp_path, capsys):
     vehicle = ["--vehicle", noiseless] if which == "real" else []
     for name, height, end in said:
         row = read.row("regime", controller=name)
-        stays, leaves = float(row["MuJoCo stays linear at [m]"]), float(row["and not at [m]"])
+        stays, leaves = float(row["MuJoCo stays linear at [m]"]), float(row["MuJoCo reaches a limit at [m]"])
         assert height == f"{(stays + leaves) / 2:.3g}"
         assert f"{height} m" in read.row("summary", controller=name).values()
         assert stays < float(row["at [m]"]) < leaves < 1.0025 * stays
