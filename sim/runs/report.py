@@ -155,8 +155,7 @@ def energy_table(runs: Sequence[RunResult], where: str) -> Table:
     known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
     fields = (name, *(field.of(get) for field in ENERGY))
-    caption = f"Energy balance over {where}: work of road and actuators, and energy stored and dissipated."
-    return Table.of("energy", caption, fields, known)
+    return Table.of("energy", f"Energy balance over {where}.", fields, known)
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
@@ -212,10 +211,8 @@ def verdict(run: RunResult) -> Statement:
     if not words and not agreement.agrees:
         words.append("NOTHING WAS COMPARED with the model")
     if not words:
-        words += [
-            "MuJoCo agrees with the model",
-            f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE,
-        ]
+        linear = f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
+        words += ["MuJoCo agrees with the model", linear]
     if agreement.coarse or (energy is not None and not energy.judged):
         words.append("the timestep is too coarse for accurate numbers")
     if energy is not None:
@@ -360,7 +357,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
 
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
-    text = f"{subject} {what}: largest error {error} of a peak ({one.signal}), allowed {ALLOWED.digits(one.allowed)}"
+    text = f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED.digits(one.allowed)} is allowed"
     return Statement(text, "note" if one.agrees else "fails")
 
 
@@ -381,8 +378,8 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if signal.small is not None:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
     if wrong:
-        size = f"{size} of a peak{small} ({worst}), allowed {DIFFERENCE.digits(signal.allowed)}"
-        yield Statement(f"DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}", "fails")
+        size = f"{size} of a peak{small} ({worst}), {DIFFERENCE.digits(signal.allowed)} is allowed"
+        yield Statement(f"MuJoCo DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}", "fails")
     else:
         yield Statement(
             f"{what} is within {size} of every peak{small} {_when(run)}; "
@@ -411,7 +408,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, allowed {ENERGY[-1].cell(energy)}"
+        more = f"{of} is neither stored nor dissipated, {ENERGY[-1].cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
@@ -495,10 +492,8 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
         return [f"{line}; the run equals that of the control law bit for bit"]
     force = max(vehicle.linear_model.inputs, key=effect.peak)
     apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
-    return [
-        f"{line}; {force} differs from that of the control law by {apart}, and every signal by at most "
-        f"{DIFFERENCE.digits(effect.share)} of its peak"
-    ]
+    share = DIFFERENCE.digits(effect.share)
+    return [f"{line}; {force} differs from that of the control law by {apart}, and every signal by at most {share} of its peak"]
 
 
 def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:

@@ -108,8 +108,7 @@ def test_logs_are_written_and_named(capsys, tmp_path):
     assert opens == f"  rerun {rrd}"
     assert first.strip() == str(mcap)
     assert (
-        f"{said} {more.strip()}"
-        == "passive, II: MuJoCo agrees with the model; linear analysis applies over the whole run; energy balances"
+        said + more == "passive, II: MuJoCo agrees with the model; linear analysis applies over the whole  run; energy balances"
     )
     assert layout.name.endswith(".layout.json")
     with mcap.open("rb") as stream:
@@ -135,9 +134,8 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
 def test_a_step_that_is_too_coarse_is_in_the_verdict(capsys):
     """At 20 ms RK4 is a tenth of the peak off: the run is that of the model, and the verdict says that its step is too coarse."""
     assert main(["--controller", "I", "--no-logs", "--timestep", "0.02"]) == 0
-    assert "MuJoCo agrees with the model; linear analysis applies over the whole run; the timestep is too coarse" in prose(
-        capsys.readouterr().out
-    )
+    said = "MuJoCo agrees with the model; linear analysis applies over the whole run; the timestep is too coarse"
+    assert said in prose(capsys.readouterr().out)
 
 
 def test_another_vehicles_prediction_does_not_agree(paper, designer):

@@ -112,7 +112,7 @@ REFUSED = [
     ("sim.envelope --controller I --vary width:0.02:0.3:20 --vary speed:3:30:20", "unknown quantity"),
     ("sim.envelope --controller I --vary height:0.02:0.3 --vary speed:3:30:20", "name:low:high:count"),
     ("sim.envelope --controller I --vary height:0.3:0.02:20 --vary speed:3:30:20", "low < high"),
-    ("sim.envelope --controller I --vary height:0.02:0.3:1000 --vary speed:3:30:1000", "1000000 cells are too many"),
+    ("sim.envelope --controller I --vary height:0.02:0.3:1000 --vary speed:3:30:1000", "the map has 1000000 cells"),
     ("sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:0.5:30:20", "longer --duration"),
     ("sim.margins", "--controller", "I, II", "state"),
     ("sim.margins --controller passive", "'passive'", "no gain", "no margin"),

@@ -253,10 +253,8 @@ def test_what_is_missing_is_said():
     first = float(physics.time[np.argmax(np.abs(physics["missing_force"]) > 1e-3)])
     lines = [one.text for one in reasons(run)]
     assert any(line.startswith("damper: ") and f"at {first:.4g} s" in line for line in lines)
-    assert any(
-        f"{100 * rms:.2g} % (rms) of the requested force is missing, at {100 * share:.2g} % of the samples" in line
-        for line in lines
-    )
+    said = f"{100 * rms:.2g} % (rms) of the requested force is missing, at {100 * share:.2g} % of the samples"
+    assert any(said in line for line in lines)
     assert run.agreement.until == np.inf
     assert run.agreement.ended["damper"] == first
     (none,) = runs(QUARTER + DAMPER, "passive")

@@ -113,7 +113,7 @@ def describe(cells: Cells) -> Document:
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
-        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of them, linear analysis is within "
+        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
     ]
     if np.any(cells.predicted == END_NAMES.index(CURVE.name)):
@@ -122,7 +122,7 @@ def describe(cells: Cells) -> Document:
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
         texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map shows the analysis with the dampers.")
+        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map includes the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
@@ -133,7 +133,7 @@ def _loop_texts(cells: Cells) -> list[str]:
     if cells.controller.law.acts and (linear := built_words(cells.vehicle)):
         texts.append(f"Linear analysis is of the implemented loop: {linear}.")
     if cells.controller.law.acts and how.has_measurement_noise:
-        texts.append(f"MuJoCo also has {how.noise_text}, which is most of the error over small bumps.")
+        texts.append(f"MuJoCo also has {how.noise_text}, which causes most of the error over small bumps.")
     if not stability.stable:
         texts.append(f"UNSTABLE loop; every run grows: {stability.own.words.removeprefix('unstable: ')}.")
     return texts
@@ -152,9 +152,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
         f"MuJoCo simulates cells all over the map, and two bumps around every limit, at {1e3 * timestep:g} ms{without}.",
         f"Linear analysis holds in a run if it is within {THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
-    caption = (
-        "Shares of cells by first predicted limit, and of MuJoCo's runs where linear analysis holds, or that are as predicted."
-    )
+    caption = "Shares of cells by first predicted limit, and of MuJoCo's runs where analysis holds, or that are as predicted."
     figures = (replace(envelope_figure(one), name=f"map-{one.controller.name}") for one in maps)
     blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
@@ -170,8 +168,7 @@ def verdicts(maps: Sequence[Cells]) -> list[Statement]:
         names = names_text(one.controller.name for one in some)
         text = f"the map{'s' * (len(some) > 1)} of {names}: in {driven - others} of {driven} cells"
         if others:
-            inside = sum(one.unexplained for one in some)
-            text += f" (the other {others} are next to a boundary{f', except {inside}' if inside else ''})"
+            text += f" ({others - sum(one.unexplained for one in some)} of the other {others} are next to a boundary)"
         if ends := [end for one in some for end in one.ends.values()]:
             text += f" and at {sum(end.confirmed for end in ends)} of {len(ends)} edges"
             text += f", within {percent(math.ceil(1e3 * max(one.furthest for one in some) - 1e-6) / 1e3)}" if right else ""
