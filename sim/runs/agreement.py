@@ -40,7 +40,7 @@ from synth.controller.controller import Controller, has_anti_windup
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
 SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
-NO_REFERENCE = "linear analysis does not apply"
+NO_REFERENCE = "no linear analysis"
 SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
 
 

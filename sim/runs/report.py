@@ -182,7 +182,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller, or the reason for which it has none."""
     if not isinstance(controller, Controller):
-        return f"{NO_REFERENCE} ({controller.kind})"
+        return f"linear analysis does not apply ({controller.kind})"
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"

@@ -339,7 +339,7 @@ def test_picture_is_the_cells(limited, designer):
         (label,) = [text for text, its in legend.items() if its == color]
         assert label.startswith("no limit" if first < 0 else f"{END_NAMES[first]} first")
     assert "force saturation first (at ±1400 N)" in legend
-    assert "Markers: MuJoCo in 10 of 60 cells, 100.0 % as predicted" in figure.title
+    assert "Markers show MuJoCo in 10 of 60 cells, 100.0 % of them as predicted" in figure.title
     # The line lies where the linear share is one: at the height that the column's own linear run says.
     (line,) = [curve for curve in panel.curves if curve.label == "predicted limit"]
     for speed in ground.x[1:-1]:
