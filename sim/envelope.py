@@ -41,7 +41,7 @@ examples:
 
 def parser() -> Parser:
     """The options."""
-    parser = Parser("sim.envelope", "Map the bumps over which linear analysis is valid, and the limits of the others.", EPILOG)
+    parser = Parser("sim.envelope", "Map the bumps over which linear analysis is valid, and the limits that end it.", EPILOG)
     parser.add_one("passive, state, or a controller of the vehicle file")
     parser.add_argument(
         "--vary",
@@ -53,10 +53,10 @@ def parser() -> Parser:
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length, if not varied")
     parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle, if not varied")
     add_loads(parser, "load on the body over every bump")
-    parser.add_number("--threshold", 0.05, "-", "largest error with which linear analysis counts as valid, relative to the peak")
+    parser.add_number("--threshold", 0.05, "-", "linear analysis is valid up to this error, relative to the peak")
     parser.add_number("--duration", 3.0, "s", "duration of each run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
-    parser.add_argument("--every-cell", action="store_true", help="simulate every cell; takes ten times as long")
+    parser.add_argument("--every-cell", action="store_true", help="simulate every cell of the map; takes ten times as long")
     parser.add_logs("the runs closest to each limit")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the numbers of every cell (.csv)")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the map (.png, .svg or .pdf); needs matplotlib")
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
-            raise InputError(f"--{axis.name} is of what is not varied, and --vary {axis.name} varies it; omit one of them")
+            raise InputError(f"--{axis.name} and --vary {axis.name} set the same quantity; omit one of these options")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)
@@ -150,12 +150,12 @@ def _check(vehicle: "Vehicle", bumps: "Sequence[Bump]", time: "Array", threshold
     from models.roads.road import LOWEST
 
     if not 0 < threshold < 1:
-        raise InputError(f"threshold = {threshold:g} is not allowed; give a share of a peak above 0 and below 1, such as 0.05")
+        raise InputError(f"threshold = {threshold:g} is not allowed; give a number above 0 and below 1, such as 0.05")
     if abs(bumps[0].height) < LOWEST:
-        raise InputError(f"height = {bumps[0].height:g} m is lost in rounding; give at least {LOWEST:g} m, either way")
+        raise InputError(f"height = {bumps[0].height:g} m is too small; give at least {LOWEST:g} m, up or down")
     shortest, longest = (pick(bumps, key=lambda bump: bump.duration) for pick in (min, max))
     shortest.check(vehicle, time)
     if longest.duration > time[-1]:
         raise InputError(
-            f"the longest bump takes {longest.duration:.3g} s, more than the run of {time[-1]:g} s; give a longer --duration"
+            f"the longest bump takes {longest.duration:.3g} s, but a run lasts only {time[-1]:g} s; give a longer --duration"
         )

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 RECORDED = 4.0  # s, of a recorded run
 
 EPILOG = """
-errors [%]: each measurement has a factor of its own between 1 - error and 1 + error. With several forces, so has each force. With
-one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search finds the worst errors,
-and MuJoCo finds the stability limit along them. The lag of the actuators is included.
+errors [%]: each measurement is multiplied by its own factor between 1 - error and 1 + error. If there are several forces, each
+force is, too. With one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search
+finds the worst errors, and MuJoCo finds the stability limit for these errors. The lag of the actuators is included.
 
 exit code: 0 prediction and MuJoCo agree; 1 they disagree; 2 invalid input
 
@@ -46,7 +46,7 @@ def parser() -> Parser:
     """The options."""
     parser = Parser(
         "sim.margins",
-        "Find the margins of a loop for gain, phase, delay, sample period and errors of the measurements.",
+        "Find the margins of a control loop for gain, phase, delay, sample period and measurement errors.",
         EPILOG,
     )
     parser.add_one("state, or a controller of the vehicle file")
@@ -132,21 +132,21 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
 
     name, certificate = f"controller {controller.name!r}", controller.certificate
     if not controller.law.acts:
-        raise InputError(f"{name} has no gain, so there is no loop and no margin; choose another controller")
+        raise InputError(f"{name} requests no force, so there is no loop and no margin; choose another controller")
     if not certificate.stable:
-        why = f"without a computer its loop is not stable as it is ({certificate.stability.words})"
+        why = f"its ideal loop is not stable ({certificate.stability.words})"
         raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
     times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:
         raise InputError(
-            f"{name} tolerates no delay and no computer: its measurements immediately contain {times:.4g} times its own force, "
-            "which grows from sample to sample; lower its gain on accelerations, or filter them"
+            f"{name} tolerates neither delay nor sampling: its measurements immediately contain {times:.4g} times its own force, "
+            "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
         )
     radius = LoopModel(vehicle, controller, timestep).radius
     if radius >= 1:
         raise InputError(
-            f"{name} is not stable at a timestep of {timestep:g} s or with its actuators' lag (growth by {radius:.6g} every "
-            "step); give a smaller timestep or a larger actuator_bandwidth"
+            f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
+            f"{radius:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
         )
     if LoopModel(built, controller, timestep).radius >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"

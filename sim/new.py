@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     path: Path = options.file
     if path.exists():
-        raise InputError(f"{path} exists and is not replaced; give another name, or remove it")
+        raise InputError(f"{path} already exists; give another name, or remove this file")
     text = read_text(TEMPLATES / f"{options.type}.toml", "template", f"give one of {', '.join(TYPES)}")
     with whole_file(path, "vehicle file") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({"file": str(path), "type": options.type}))
         return 0
     name = pasted_path(path)
-    print(f"wrote {name}; replace its numbers by those of your car, then run")
+    print(f"wrote {name}; replace its numbers with those of your car, then run")
     print(f"  python -m synth --vehicle {name}")
     print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
     return 0

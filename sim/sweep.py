@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 
 EPILOG = """
-Linear analysis does not apply to a control law in Python. The law runs over one sinusoid at a time, and the output contains the
-fundamental and the energy at other frequencies.
+Linear analysis does not apply to a control law in Python. The law is simulated over one sinusoid at a time, and the output
+contains the fundamental and the energy at other frequencies.
+
 exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, or every run of a law
 diverged, so that nothing is measured; 2 invalid input
 
@@ -41,10 +42,10 @@ def parser() -> Parser:
     parser = Parser("sim.sweep", "Measure frequency responses in MuJoCo and compare them with linear analysis.", EPILOG)
     parser.add_controller_and_vehicle("default: passive, state, I and II")
     parser.add_number("--amplitude", 1e-4, "m", "largest height of each road; a larger height can reach the vehicle's limits")
-    parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; matters only if there are rear wheels")
+    parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; affects only vehicles with rear wheels")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     add_exported(parser)
-    parser.add_logs("each controller over its worst sinusoid")
+    parser.add_logs("runs of each controller over its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib")
     parser.add_printed("errors of each signal, invariants, sampled norms and EUSAMA's minimum loads")
     return parser
@@ -72,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
-        raise InputError(f"--speed matters to rear wheels only, but a {vehicle.kind.name} has none; omit it")
+        raise InputError(f"--speed affects only rear wheels, but a {vehicle.kind.name} has no rear wheels; omit --speed")
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")

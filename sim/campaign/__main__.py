@@ -20,12 +20,12 @@ RUNS = ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "be
 NAMES = {"subject_to": "subject-to", "exported": "as"}
 
 EPILOG = """
-A law in Python that fails, ends its process, or takes longer than 10 s a call or 100 times real time, fails its run: the row has
-the reason. The campaign goes on with the same file of the law only.
-Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
-exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault, or nothing
-is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted:
-what is done is kept
+A run fails if its control law in Python raises an error, ends its process, or takes longer than 10 s for a call or 100 times real
+time. The results then contain the reason. A campaign that was interrupted, even by a power cut, continues when you start the same
+command again; a few seconds of work are lost. It cannot continue if the file of a control law has changed.
+
+exit code: 0 every run is finished (with --verify: the results are correct); 1 --verify found an error, or no controller is within
+the limits of --subject-to; 2 invalid input or a full disk; 130 interrupted: finished runs are kept
 
 examples:
   python -m sim.campaign campaign.toml
@@ -44,11 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     if options.verify is None and options.file is None:
-        raise InputError("no campaign was named; give a campaign file (TOML), or --verify with a folder of results")
+        raise InputError("the campaign file is missing; give a TOML file, or --verify with a folder of results")
     for name in CHECKS if options.verify is None else RUNS:
         if name in options.given or (name == "subject_to" and options.subject_to):
-            which = "is for --verify" if name in CHECKS else "is for running a campaign, and --verify checks one"
-            raise InputError(f"--{NAMES.get(name, name)} {which}; omit it")
+            which = "needs --verify" if name in CHECKS else "cannot be combined with --verify"
+            raise InputError(f"--{NAMES.get(name, name)} {which}; omit --{NAMES.get(name, name)}")
     from sim.campaign.command import check_results, run_campaign
 
     return run_campaign(options) if options.verify is None else check_results(options)
@@ -56,14 +56,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(
-        "sim.campaign", "Simulate all combinations in a campaign file, and compare them with linear predictions.", EPILOG
+        "sim.campaign", "Simulate all combinations in a campaign file, and compare the results with linear predictions.", EPILOG
     )
     parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="campaign file (TOML)")
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="folder of the results (default: campaign-results for campaign.toml)"
     )
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw ride over road holding, a point per controller (.png, .svg or .pdf)"
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="plot ride over road holding, a point for each controller (.png, .svg or .pdf)",
     )
     parser.add_argument(
         "--best",
@@ -75,13 +78,13 @@ def _parser() -> Parser:
         "--subject-to",
         action="append",
         metavar="METRIC:LIMIT",
-        help="limit of another metric for --best, in SI units (m, m/s2, N; shares of time from 0 to 1), for example "
+        help="upper limit of another metric for --best, in SI units (m, m/s2, N; fractions of time from 0 to 1), for example "
         "peak_travel:0.08; may be repeated",
     )
     add_exported(parser)
     parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best controller")
-    parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
-    parser.add_count("--batch", "largest number of runs in a batch", "a few seconds of work", 1, RUNS_AT_ONCE)
+    parser.add_count("--workers", "number of threads that simulate", "one per core", 1, MOST_WORKERS)
+    parser.add_count("--batch", "largest number of runs that are saved together", "a few seconds of work", 1, RUNS_AT_ONCE)
     parser.add_argument(
         "--ray",
         nargs="?",
@@ -93,9 +96,9 @@ def _parser() -> Parser:
         "--verify",
         type=Path,
         metavar="DIR",
-        help="check a folder of finished results: its checksums, the inputs of each row, and some runs by repeating them",
+        help="check a folder of finished results: compare checksums and the inputs of each row, and repeat some runs",
     )
     parser.add_count("--runs", "number of runs that --verify repeats", "16", 1, MOST_RUNS, 16)
-    parser.add_count("--seed", "seed of the selection of these runs", "0", 0, 2**63 - 1, 0)
+    parser.add_count("--seed", "seed of the random choice of these runs", "0", 0, 2**63 - 1, 0)
     parser.add_printed("a table for each road and speed", "print only the comparison of controllers over all runs")
     return parser

@@ -31,7 +31,7 @@ from sim.studies.ride.metrics import Metric, metrics_of
 from sim.studies.ride.standing import columns_of, over_runs
 
 SUFFIX = "_tuned"
-GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
+GIVE = "give METRIC:LIMIT in SI units, for example peak_travel:0.08"
 SIGNED = ("at_end",)
 VALUE, MISS = Field[float]("value", float, ".4g"), Field[float]("miss", float, ".3g")
 DRAWN = Field[float]("drawn key", float, ".6g")
@@ -103,18 +103,18 @@ class Choice:
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = listing([request.metric, *request.limits])
-            return Statement(f"{self.vehicle}: None of {self.count} has {absent} for all runs, because some broke off.", "fails")
+            return Statement(f"{self.vehicle}: all {self.count} candidates have runs that broke off, without {absent}.", "fails")
         drawn = "".join(f", {key} {DRAWN.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
             numbers = ", ".join(f"{name} {VALUE.digits(value)}" for name, value in self.numbers.items())
-            count = f"{self.within} of {self.count} are within" if request.limits else f"There are {self.count} candidates"
+            count = f"{self.within} of {self.count} keep the limits" if request.limits else f"{self.count} were compared"
             return Statement(f"{who} has the best {request.metric}{self.limits}: {numbers}. {count}.", "holds")
         missed = []
         for name, by in self.misses.items():
             share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
             missed.append(f"{name} by {MISS.digits(by)} {request.units[name]}".rstrip() + share)
-        text = f"{who} is nearest to {request.words}, and exceeds {' and '.join(missed)}. None of {self.count} is within."
+        text = f"No candidate of {self.count} keeps {request.words}. {who} is nearest; it exceeds {' and '.join(missed)}."
         return Statement(text, "fails")
 
     @property
@@ -132,7 +132,7 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
     if best is None:
         for option, given in (("--subject-to", bool(limits)), ("--save", save is not None)):
             if given:
-                raise InputError(f"{option} is for the choice of --best; give it with --best METRIC, or omit it")
+                raise InputError(f"{option} needs --best; add --best METRIC, or omit {option}")
         return None
     _check_metric("--best", best, campaign)
     read: dict[str, float] = {}
@@ -145,7 +145,7 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
         _check_metric("--subject-to", metric, campaign)
         unit = next(_known(vehicle, campaign)[metric][0].unit.removeprefix("-") for vehicle in campaign.vehicles.values())
         if metric in read:
-            raise InputError(f"{where}: {metric} has two limits; give the smaller one")
+            raise InputError(f"{where}: {metric} already has a limit; give only the smaller one")
         read[metric], units[metric] = setting(f"--subject-to {metric}", number, unit or "1"), unit
     if save is not None:
         _check_save(campaign, save)
@@ -156,7 +156,7 @@ def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     """Refuses a metric that a vehicle lacks."""
     for vehicle, one in campaign.vehicles.items():
         if name not in (there := _known(one, campaign)):
-            raise InputError(f"{option} {name}: vehicle {vehicle!r} has no such metric; it has {listing(there)}")
+            raise InputError(f"{option} {name}: vehicle {vehicle!r} has no metric {name}; it has {listing(there)}")
 
 
 def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
@@ -169,12 +169,12 @@ def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]
 def _check_save(campaign: Campaign, path: Path) -> None:
     """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
     if len(campaign.vehicles) > 1:
-        raise InputError(f"--save writes one vehicle file, but the campaign has {len(campaign.vehicles)}; list one vehicle in it")
+        raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")
     ((name, vehicle),) = campaign.vehicles.items()
     for controller in campaign.variants[name]:
         check_name("--save:", controller + SUFFIX, ())
         if controller + SUFFIX in vehicle.controllers:
-            raise InputError(f"--save: {name} has a controller {controller + SUFFIX!r} already; rename or remove that one")
+            raise InputError(f"--save: {name} already has a controller {controller + SUFFIX!r}; rename or remove it")
     with_sections(vehicle.text_for(path), [])
 
 
@@ -224,7 +224,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     numbers = ", ".join(f"{metric} {value!r}" for metric, value in choice.numbers.items())
     drawn = "" if candidate.variant is None else f"; variants by seed {campaign.sample_seed} of [samples]"
     lines = [
-        f"# {name}{of_law}: the best {request.metric}{choice.limits}, of {choice.count} and in SI units, by:",
+        f"# {name}{of_law}: the best {request.metric}{choice.limits} of {choice.count} candidates, in SI units. Command:",
         f"# {pasted(shlex.split(command))}",
         f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
         f"{CAMPAIGN_SUM}{identity}",

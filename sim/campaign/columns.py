@@ -13,17 +13,17 @@ from sim.studies.ride.run_metrics import ABOUT_IRI, UNIT, roughness_names
 EXPECTED, LINEAR = "expected_", "linear_"
 
 PROMPT = "linear controllers that act at every timestep, without delay, noise and quantisation, and passive"
-WITHOUT = f"{PROMPT}; of vehicles without curves, and without adjustable dampers but where these are asked for nothing"
+WITHOUT = f"{PROMPT}, for vehicles without curves; with adjustable dampers only if the controller requests no force"
 LINEAR_IS = (
-    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum "
-    f"and {WITHOUT}"
+    "value in the exact linear response over the same road, for a vehicle without limits; given only for roads that are not "
+    f"random, and for {WITHOUT}"
 )
 EXPECTED_IS = (
-    "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; by statistical "
-    "linearisation of a vehicle with curves; there for random roads and stable loops"
+    "expected value over all roads of the class, from the spectrum, for a vehicle without limits, noise and quantisation; {}; "
+    "with curves by statistical linearisation; given only for random roads and stable loops"
 )
-IRI_IS = f"{ABOUT_IRI}; null for a road shorter than {SHORTEST:g} m, one measured too coarsely, and a test rig's"
-ROOT = "of a root of a mean square the root of the expected mean square"
+IRI_IS = f"{ABOUT_IRI}; null for roads shorter than {SHORTEST:g} m, roads measured too coarsely, and test rigs"
+ROOT = "for a root mean square: the root of the expected mean square"
 INTEGER, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
 
 
@@ -33,30 +33,30 @@ def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
     rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
     laws = [variants[0] for of_vehicle in campaign.variants.values() for variants in of_vehicle.values()]
-    of_law = "key of the drawn law; null without it"
-    error = "largest difference of a state from the exact linear response until then, over its peak; there for "
-    begun = "variance when measuring begins over what it comes to, of the measured signal furthest from 1"
+    of_law = "sampled value of this key of the control law; null for controllers without this key"
+    error = "largest difference of a state from the exact linear response until ended_at, over its peak; only for "
+    begun = "variance at the start of the measurement over the final variance, for the signal with the ratio furthest from 1"
     fields = [
         _column("run", INTEGER),
         _column("vehicle", TEXT),
         _column("controller", TEXT),
         _column("road", TEXT),
         _column("speed", unit="m/s"),
-        _column("seed", INTEGER, "of a random road; null for others"),
-        _column("sample", INTEGER, "number of the sample of the parameters; null where none are sampled"),
+        _column("seed", INTEGER, "seed of a random road; null for other roads"),
+        _column("sample", INTEGER, "number of the sample of the parameters; null if no parameter is sampled"),
         *(_column(f"parameter_{name}", unit="SI") for name in sampled),
-        *([_column("variant", INTEGER, "number of the variant of a law that is drawn; null for others")] if laws else []),
+        *([_column("variant", INTEGER, "number of the variant of a sampled law; null for other controllers")] if laws else []),
         *(_column(f"law_{key}", NUMBER, of_law, "SI") for key in dict.fromkeys(key for values in laws for key in values)),
         *(_column(name, NUMBER, IRI_IS, UNIT) for name in rough),
-        _column("reason", TEXT, "why the run has no metrics; null where it has"),
+        _column("reason", TEXT, "reason why the run has no metrics; null if the run has metrics"),
         _column("diverged_at", unit="s"),
-        _column("ended_by", TEXT, "what ended the linear regime first; null for nothing"),
+        _column("ended_by", TEXT, "limit that ended the linear range; null if no limit was reached"),
         _column("ended_at", unit="s"),
         _column("linear_error", NUMBER, f"{error}{WITHOUT}", "-"),
         _column("settled", NUMBER, begun, "-"),
-        _column("settled_signal", TEXT, "that signal"),
-        _column("expected_error", NUMBER, f"what the integrals of the {EXPECTED} columns are off, relative, at most", "-"),
-        *(_column(name, NUMBER, "in MuJoCo", metric.unit) for name, metric in metrics.items()),
+        _column("settled_signal", TEXT, "signal to which settled refers"),
+        _column("expected_error", NUMBER, f"largest relative error of the integrals of the {EXPECTED} columns", "-"),
+        *(_column(name, NUMBER, "value in MuJoCo", metric.unit) for name, metric in metrics.items()),
         *(_column(f"{LINEAR}{name}", NUMBER, LINEAR_IS, metric.unit) for name, metric in metrics.items()),
         *(_expected(metric) for metric in metrics.values()),
     ]
@@ -69,6 +69,6 @@ def _column(name: str, kind: pa.DataType = NUMBER, definition: str = "", unit: s
 
 
 def _expected(metric: Metric) -> pa.Field:
-    root = "of the VDV the fourth root of its expected fourth power" if metric.name.endswith("_vdv") else ROOT
+    root = "for a VDV: the fourth root of its expected fourth power" if metric.name.endswith("_vdv") else ROOT
     approximate = {"approximate": "yes"} if metric.name.endswith(APPROXIMATE) else {}
     return _column(f"{EXPECTED}{metric.name}", NUMBER, EXPECTED_IS.format(root), metric.unit, **approximate)

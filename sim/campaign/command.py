@@ -30,7 +30,7 @@ from sim.campaign.workers import Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
 from sim.studies.ride.standing import standings_object
 
-FINISHED = "give a folder of a finished campaign's results"
+FINISHED = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # on a road from a file
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
@@ -54,7 +54,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     check_outputs({"picture": options.picture, "save": options.save}, read, options.json)
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
     if options.ray is not None and "workers" in options.given:
-        raise InputError("--workers are threads of this machine, and --ray has workers of its own; omit one of them")
+        raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
     workers = options.workers or cores()
     with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
         stage = Stages("designs", "runs", "results")
@@ -75,7 +75,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             run_batches(plan, plan.batches(store.missing(), progress.next_batch), workers, options.ray is not None, write)
         except KeyboardInterrupt:
             stage.end()
-            message = f"interrupted: {plan.count - store.left} of {plan.count} runs are kept; start it again to go on"
+            message = f"interrupted: {plan.count - store.left} of {plan.count} runs are kept; repeat the command to continue"
             raise KeyboardInterrupt(message) from None
         stage("results")
         store.finish()
@@ -90,7 +90,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             write_picture(figure, options.picture)
         stage.end()
     if options.picture is not None and figure is None:
-        complain("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
+        complain("--picture: no picture is drawn, because no run of the campaign has both ride and tyre load")
     outputs = {"picture": options.picture if figure is not None else None, "save": options.save if saved is not None else None}
     if options.json:
         result = {
@@ -106,15 +106,15 @@ def run_campaign(options: argparse.Namespace) -> int:
         }
         print(json.dumps(result, allow_nan=False))
         return 0 if within else 1
-    now = f"{progress.done} made now, {RATE.text(progress.rate)}" if progress.done else "all made before"
+    now = f"{progress.done} of them simulated now, {RATE.text(progress.rate)}" if progress.done else "all simulated before"
     lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
     gains = [entry for some in manifest.controllers.values() for entry in some.items()]
     coded = {f"{name} in {one['code']['numbers']}" for name, one in gains if "code" in one}
-    lines += [f"compiled code drives {listing(coded)}"] if coded else []
+    lines += [f"controllers that run as compiled code: {listing(coded)}"] if coded else []
     lines += ["", "results", Whole(f"  {store.results}")]
     if not options.brief:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
-        lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95 %, and prediction"]
+        lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95th percentile, prediction"]
     lines += written_lines(outputs)
     lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
@@ -138,8 +138,8 @@ def check_results(options: argparse.Namespace) -> int:
         return 1 if faults else 0
     found = [*faults, "", "the results DO NOT AGREE with the campaign"]
     if not faults:
-        said = f"{again} runs, selected with seed {options.seed}, were repeated with the same numbers"
-        found = [f"each of {verified['rows']} runs has one row with its inputs; {said}"]
+        said = f"{again} runs, chosen with seed {options.seed}, were repeated and gave the same numbers"
+        found = [f"each of the {verified['rows']} runs has one row with its inputs; {said}"]
         found += ["", "the results agree with the campaign"]
     say([*filter(None, [remark]), "results", Whole(f"  {folder}"), *found])
     return 1 if faults else 0
@@ -149,7 +149,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
     """Returns the number of runs, the result of --verify, and a remark on the campaign file."""
     manifest = read_manifest(folder, FINISHED) if folder.is_dir() else None
     if manifest is None:
-        raise InputError(f"--verify {folder}: there is no campaign; {FINISHED}")
+        raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED}")
     remark = ""
     if options.file is not None:
         campaign = read_campaign(options.file)
@@ -158,14 +158,14 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
         if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
             file = folder.absolute().parent / file.name
         campaign = parse_campaign(manifest.campaign, file)
-        now = "has changed" if file.is_file() else "does not exist any more"
+        now = "has changed" if file.is_file() else "no longer exists"
         if not file.is_file() or read_text(file, "campaign file", "") != manifest.campaign:
-            remark = f"campaign file {file} {now}; the copy in the folder is used"
+            remark = f"the campaign file {file} {now}; the copy in the folder of results is used"
     manifest.check(folder, campaign.digest, _versions(), FINISHED)
     plan, store = _plan(campaign, manifest, folder)
-    stage = Stages("rows", "runs driven again")
+    stage = Stages("rows", "repeated runs")
     stage("rows")
-    progress = stage.counted("runs driven again", options.runs, "runs")
+    progress = stage.counted("repeated runs", options.runs, "runs")
     verified = verify(plan, store, manifest.controllers, options.runs, options.seed, progress)
     stage.end()
     return plan.count, verified, remark
@@ -175,7 +175,7 @@ def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None) 
     """Returns the manifest in a folder, which is made, with gains designed now, if the campaign begins now."""
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
-        raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
+        raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; list fewer seeds or samples")
     manifest, used = read_manifest(folder), _versions()
     if manifest is None:
         gains = gains_of(designed(campaign, exported))

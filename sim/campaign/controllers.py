@@ -36,7 +36,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
     for name, vehicle in campaign.vehicles.items():
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
         if len(controllers) < len(campaign.controllers):
-            raise InputError(f"vehicle {name!r}: not every controller can be designed; leave those out of the campaign file")
+            raise InputError(f"vehicle {name!r}: some controllers cannot be designed; remove those named above from the file")
         warn(vehicle, controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle
@@ -75,7 +75,7 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyCon
         driver = replace(driver, code=code_again(vehicle, driver, entry["code"]))
     if not linear and gains_of({"": {name: driver}})[""][name] != entry:
         file = entry.get("law", entry.get("fmu"))
-        raise InputError(f"controller {name!r}: its law {file} has changed since the campaign began; restore it, or {ELSEWHERE}")
+        raise InputError(f"controller {name!r}: {file} has changed since the campaign began; restore this file, or {ELSEWHERE}")
     return driver
 
 
@@ -94,5 +94,5 @@ def check_code(gains: Gains, exported: Path) -> None:
     from synth.controller.export.folder import MANIFEST
 
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
-    if sha256(read_text(exported / MANIFEST, "manifest", "name a folder of --export")) not in codes:
-        raise InputError(f"--as {exported}: the campaign was started without this code; give another folder with --results")
+    if sha256(read_text(exported / MANIFEST, "manifest", "give a folder that python -m synth --export wrote")) not in codes:
+        raise InputError(f"--as {exported}: this campaign was started without this code; give a new folder with --results")

@@ -124,7 +124,7 @@ def _parse(text: str, folder: Path) -> Campaign:
             sample_times(vehicle, duration, timestep)
     settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
     if settle > duration / 2:
-        raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
+        raise InputError(f"settle = {settle:g} s is too long for runs of {duration:g} s; give at most half of the duration")
     drawn = read_samples(data.get("samples"), vehicles, controllers)
     campaign = Campaign(vehicles, controllers, roads, speeds, _seeds(data), duration, settle, timestep, *drawn, text)
     for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, speeds):
@@ -147,7 +147,7 @@ def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
 def _listed(data: Mapping[str, Any], key: str, annotation: Any) -> tuple[Any, ...]:
     """Returns a list of the file, which has at least one value."""
     if key not in data:
-        raise InputError(f"{key!r} is missing, so there are no runs; give a list")
+        raise InputError(f"the key {key!r} is missing, so the campaign has no runs; give a list")
     return check(key, data[key], annotation)
 
 
@@ -156,7 +156,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:
-            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; list each once")
+            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; list only one of them")
         first[meant] = quoted(value)
 
 

@@ -29,8 +29,8 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
         return {key: dict(entry.semi_active.numbers).get(key) for key in keys}
     if entry is None or entry.law is None:
         raise InputError(
-            f"controller {controller!r} has no values in the vehicle file to be sampled (designed controllers, those in "
-            "Python and some semi-active laws have none); sample another, or write its gain with python -m synth --save"
+            f"controller {controller!r} has no numbers in the vehicle file to sample, like all designed controllers, laws in "
+            "Python and some semi-active laws; sample another controller, or write its gain with python -m synth --save"
         )
     matrices = {name: value for name, value in entry.law.record.items() if isinstance(value, list)}
     rate: dict[str, float | None] = {"anti_windup": entry.law.anti_windup} if entry.law.anti_windup is not None else {}

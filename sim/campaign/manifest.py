@@ -15,8 +15,8 @@ from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
-FULL = "free some space or give another folder with --results; what is done is kept"
-ELSEWHERE = "give another folder, empty or new, with --results, or remove what is there"
+FULL = "free some space, or give another folder with --results; finished runs are kept"
+ELSEWHERE = "give a new or empty folder with --results"
 
 
 # The gains of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
@@ -59,12 +59,12 @@ class Manifest:
             InputError: the folder is of another campaign, or of other versions.
         """
         if self.digest != digest:
-            raise InputError(f"{folder} contains another campaign, with other files; {instead}")
+            raise InputError(f"{folder} contains the results of another campaign, or its files have changed; {instead}")
         for name, version in versions.items():
             if self.versions.get(name) != version:
                 raise InputError(
-                    f"the campaign in {folder} was started with {name} {self.versions.get(name)}, and this is {version}: the "
-                    f"numbers could differ; continue with that version, or {instead}"
+                    f"the campaign in {folder} was started with {name} {self.versions.get(name)}, but {version} is installed, so "
+                    f"numbers could differ; install {self.versions.get(name)}, or {instead}"
                 )
 
 
@@ -81,17 +81,17 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     if not path.exists() and (folder / EARLIER).exists():
         path = folder / EARLIER
         if not (folder / RESULTS).exists():
-            raise InputError(f"the campaign in {folder} was started by Roadproof 0.1; finish it with that version, or {instead}")
+            raise InputError(f"the campaign in {folder} was started by Roadproof 0.1; finish it with Roadproof 0.1, or {instead}")
     if not path.exists():
         others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
         if others:
-            raise InputError(f"{folder} contains no campaign, but {others[0]}; {instead}")
+            raise InputError(f"{folder} contains no campaign, but other files such as {others[0]}; {instead}")
         return None
     with reading(path, "campaign plan", instead):
         whole = json.loads(path.read_text(encoding="utf-8"))
         names = [field.name for field in fields(Manifest)]
         if not {*names} <= {*whole}:
-            raise InputError(f"it does not have the entries {', '.join(names)}; restore it, or {instead}")
+            raise InputError(f"the file lacks some of the entries {', '.join(names)}; restore this file, or {instead}")
         return Manifest(**{name: whole[name] for name in names})
 
 
@@ -116,7 +116,7 @@ def locked(folder: Path) -> Iterator[None]:
             lock.acquire()
         except OSError as error:  # also of a lock that is held
             raise InputError(
-                f"another campaign is running in {folder}, or it cannot be locked ({error.strerror or 'locked'}); "
+                f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "
                 "wait for it, or give another folder with --results"
             ) from error
         try:

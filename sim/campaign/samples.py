@@ -65,13 +65,13 @@ class Sampler:
         for name, entry in table.items():
             relative, ends, quantiles[name] = _distribution(f"{where} {name}", name, entry, units.get(name, ""))
             if name not in own:
-                raise InputError(f"{where} has no {quoted(name)} to be drawn; it has {listing(own)}")
+                raise InputError(f"{where} {quoted(name)} cannot be sampled; sample one of {listing(own)}")
             value = own[name]
             if relative and value is None:
-                raise InputError(f"{where} gives no {name}, and the distribution is relative; leave relative out")
+                raise InputError(f"{where} the file gives no {name}, so its distribution cannot be relative; omit relative")
             scales[name] = value if relative and value is not None else 1.0
             for end in ends:
-                with error_in(f"{where} the distribution reaches a value that is not allowed:"):
+                with error_in(f"{where} the distribution of {name} contains a value that is not allowed:"):
                     check(name, scales[name] * end)
         columns = zip(scales, self._unit_samples(len(scales)).T, strict=True)
         rows = np.stack([scales[name] * quantiles[name](unit) for name, unit in columns], axis=-1).tolist()
@@ -105,8 +105,8 @@ def read_samples(
     drawn = [key for key in DRAWN if key in section]
     if not drawn or not all(isinstance(section[key], dict) and section[key] for key in drawn):
         raise InputError(
-            "[samples] samples no parameters; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
-            "[samples.controllers.NAME] with keys of that controller's law"
+            "[samples] lists nothing to sample; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
+            "[samples.controllers.NAME] with keys of the law of controller NAME"
         )
     sampler = Sampler(count, method, check_seed(section.get("seed", 0)))
     for name in vehicles if "parameters" in section else ():
@@ -116,7 +116,7 @@ def read_samples(
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
-                f"[samples.controllers] {quoted(controller)} is not a controller of the campaign; it has {listing(controllers)}"
+                f"[samples.controllers] the campaign has no controller {quoted(controller)}; it has {listing(controllers)}"
             )
         for name, vehicle in vehicles.items():
             of_laws[name][controller] = _variants(controller, table, name, vehicle, sampler)
@@ -137,7 +137,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
     units = {key: parameter.unit for key, parameter in parameters.items()}
     samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)
     for sample in samples:
-        with error_in(f"[samples] a sample of vehicle {name!r} is not allowed:"):
+        with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
             sampled = with_sample(vehicle, sample)
             vehicle.kind.check(sampled.parameters)
             _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
@@ -148,7 +148,7 @@ def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler:
     """Returns the drawn keys of a controller's law."""
     where = f"[samples.controllers.{controller}]"
     if not isinstance(table, dict) or not table:
-        raise InputError(f"{where} draws nothing; give keys of its law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
+        raise InputError(f"{where} samples nothing; give a key of the law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
     where += f" vehicle {name!r}:"
     with error_in(where):
         own = law_values(vehicle, controller)
@@ -157,7 +157,7 @@ def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler:
 
 def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, tuple[float, float], Callable[[Array], Array]]:
     """Returns if a distribution is of multiples of each vehicle's own value, its least and most, and its quantiles by share."""
-    give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}, and maybe relative = true"
+    give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None
     shapes = [key for key in entry if key != "relative"] if isinstance(relative, bool) else []
     relative = bool(relative)
@@ -166,9 +166,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
         raise InputError(f"{where} = {quoted(entry)} is not a distribution; {give}")
     a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, "" if relative else unit) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
-        raise InputError(
-            f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
-        )
+        raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] has no width; give low < high, or a standard deviation above 0")
     from scipy import stats  # half a second
 
     if shapes[0] == "uniform":

@@ -43,7 +43,7 @@ class Store:
             if at <= start < stop <= runs and self._has(path, start, stop):
                 self.parts[start], at = (stop, path), stop
             else:
-                self.damaged.append(f"{path.name} is not complete, or not of this campaign: its runs are run again")
+                self.damaged.append(f"{path.name} is incomplete, or belongs to another campaign; its runs are simulated again")
 
     @property
     def results(self) -> Path:

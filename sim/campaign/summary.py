@@ -80,9 +80,9 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # all have broken off
         some = [each for who, each in every.items() if who.variant is None or who in shown]
-        absent = "; -: not all runs have metrics" if any(not any(each.values.values()) for each in some) else ""
-        left = f"; {len(every) - len(some)} variants that are not best at anything are omitted" if len(every) > len(some) else ""
-        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, all runs, their largest peaks{absent}{left}")]
+        absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
+        left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
+        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, over all runs, with their largest peaks{absent}{left}")]
     return lines
 
 
@@ -184,15 +184,15 @@ def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
             by_controller.setdefault(entry["controller"], []).append(entry)
         whole = [_all_roads(own) for own in by_controller.values()]
         order = sorted(whole, key=lambda one: one["left"] / one["runs"])
-        left = [f"{one['left']} of {one['runs']} of {as_name(one['controller'])}" for one in order if one["left"]]
+        left = [f"{one['left']} of {one['runs']} with {as_name(one['controller'])}" for one in order if one["left"]]
         told = f"{left[0]} to {left[-1]}" if len(left) > FEW and len(left) == len(whole) else ", ".join(left) or "none"
         of = f"{vehicle}: " if len(vehicles) > 1 else ""
         said = [f"{of}Runs that left the linear regime: {told}."]
         kept = [entry["ride"] for entry in some if not entry["left"] and entry["ride"]["predicted"]]
         if kept:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
-            where = "On roads without such runs, the ride" if left else "The ride"
-            said.append(f"{of}{where} is within {percent(off)} of its prediction, which is a mean over random roads.")
+            where = "On roads without such runs, the rms ride" if left else "The rms ride"
+            said.append(f"{of}{where} is within {percent(off)} of its predicted value, a mean over random roads.")
         blocks += notes(*said, *_remarks(whole))
     places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
     return Document("", (*blocks, *(_place(*place, [*here]) for place, here in places)))
@@ -238,12 +238,12 @@ def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     for entry in entries:
         who = as_name(entry["controller"])
         if entry["broke_off"]:
-            said.append(f"{who}: {entry['broke_off']} of {entry['runs']} runs broke off, the first: {entry['first_reason']}.")
+            said.append(f"{who}: {entry['broke_off']} of {entry['runs']} runs broke off. First reason: {entry['first_reason']}.")
         if "law" in entry:
             what = f"{PythonLaw(entry['law']).with_article}, {entry['law']}"
-            said.append(f"{who} is {what}: linear analysis does not apply, and there is no prediction.")
+            said.append(f"{who} is {what}. Linear analysis does not apply to this controller, so nothing is predicted.")
         if entry.get("failed"):
-            said.append(f"{who}: {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}.")
+            said.append(f"{who}: {entry['failed']} of {entry['runs']} runs failed. The first error: {entry['first_failure']}.")
     return said
 
 
@@ -293,10 +293,10 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], standings: Stand
     said = [f"{vehicle}: " * several + headline([*each.values()]) for vehicle, each in standings.items()]
     crossed = any(curve.marker == "x" for curve in drawn.values())
     title = (
-        "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
-        "runs, of the worst point of the vehicle, with two standard errors."
-        + (" Crosses: with force actuators instead of semi-active dampers." if crossed else "")
-        + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
+        "Ride against road holding. Lower points are more comfortable; points further left hold the road better. Points are root "
+        "mean squares over the MuJoCo runs, at the worst point of the vehicle, with two standard errors."
+        + (" Crosses show force actuators instead of semi-active dampers." if crossed else "")
+        + (f" Controllers without both numbers are not drawn: {'; '.join(absent)}." if absent else "")
     )
     return Figure("trade_off", title, tuple(panels), min(2, len(panels)), finding="; ".join(said))
 

@@ -32,22 +32,20 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
         InputError: the campaign is not finished.
     """
     if not store.finished:
-        raise InputError(
-            f"{store.folder}: {store.left} of {plan.count} runs are not there yet; run the campaign to its end first"
-        )
+        raise InputError(f"{store.folder}: {store.left} of {plan.count} runs are not finished; run the campaign to its end first")
     try:
         table = store.read(store.schema.names)
     except InputError as error:
         return {"rows": 0, "again": (), "faults": [str(error)]}
     faults = list(_wrong_inputs(plan, table))
     if json.loads((table.schema.metadata or {}).get(b"controllers", "null")) != gains:
-        faults.append("the gains in the results are not those in plan.json")
+        faults.append("the gains in the results differ from the gains in plan.json")
     drawn = np.random.default_rng(seed).choice(plan.count, size=min(count, plan.count), replace=False)
     again = () if faults else tuple(sorted(drawn.tolist()))
     for done, run in enumerate(again, 1):
         (there,) = table.slice(run, 1).to_pylist()
         (row,) = run_batch(plan, run, run + 1) or [{}]
-        faults += _differences(f"run {run}", there, row, "when driven again")
+        faults += _differences(f"run {run}", there, row, "in the repeated run")
         progress(done)
     return {"rows": len(table), "again": again, "faults": faults}
 
@@ -55,7 +53,8 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
     """Yields a sentence if there is not one row per run, in order, or on the first row whose inputs are not those of its run."""
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
-        yield f"{len(table)} rows for {plan.count} runs" if len(table) != plan.count else "the rows are not in the order of runs"
+        few = f"the results have {len(table)} rows for {plan.count} runs"
+        yield few if len(table) != plan.count else "the rows of the results are not in the order of the runs"
         return
     names = ["vehicle", "controller", "road", "speed", "seed", "sample"]
     names += [name for name in table.schema.names if name == "variant" or name.startswith(("parameter_", "law_"))]
@@ -71,8 +70,8 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
     """Yields a sentence if a row has other values than are expected."""
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]
     if wrong:
-        name, more = wrong[0], f", and {len(wrong) - 1} more columns" if len(wrong) > 1 else ""
-        yield f"{run}: {name} is {there[name]!r}, and {now.get(name)!r} {where}{more}"
+        name, more = wrong[0], f"; {len(wrong) - 1} more columns differ" if len(wrong) > 1 else ""
+        yield f"{run}: {name} is {there[name]!r} in the results, but {now.get(name)!r} {where}{more}"
 
 
 def _same(there: Any, now: Any) -> bool:

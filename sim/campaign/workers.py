@@ -16,7 +16,7 @@ from sim.campaign.plan import Plan
 
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
 ANSWER = 3.0  # s that a cluster's head may take to answer
-TOKEN = "where its head was started with tokens, as Ray 2.60 does by itself, set RAY_AUTH_MODE=token here as well"
+TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
 RETRIES = 5  # of a batch whose Ray worker dies
 
 
@@ -62,7 +62,7 @@ def cluster(address: str) -> Iterator[None]:
         ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
     except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
         said = str(error).splitlines() or [type(error).__name__]
-        raise InputError(f"--ray {address}: no cluster to be had ({said[0]}); {TOKEN}") from error
+        raise InputError(f"--ray {address}: cannot connect to a Ray cluster ({said[0]}); {TOKEN}") from error
     try:
         yield
     finally:
@@ -73,12 +73,12 @@ def _check_address(address: str) -> None:
     """Checks that a server listens at an address: Ray itself would look for it for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
-        raise InputError(f"--ray {address}: is not an address; give HOST:PORT of a cluster's head, or auto")
+        raise InputError(f"--ray {address}: this is not an address; give HOST:PORT of the cluster's head, or auto")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
     except OSError as error:
         raise InputError(
-            f"--ray {address}: there is no answer ({error.strerror or error}); give the address that ray start --head printed"
+            f"--ray {address}: the address does not answer ({error.strerror or error}); give that printed by ray start --head"
         ) from error
 
 

@@ -55,7 +55,7 @@ def controllers_of(
     if not drivers:
         raise next(iter(errors.values()))
     for name, error in errors.items():
-        complain(f"controller {name!r} is left out: {str(error).removeprefix(f'controller {name!r}: ')}")
+        complain(f"controller {name!r} is not simulated: {str(error).removeprefix(f'controller {name!r}: ')}")
     if exported is None:
         return drivers
     from synth.controller.export.folder import as_exported, read_folder
@@ -96,23 +96,23 @@ def say_false_claims(controllers: Iterable[AnyController]) -> None:
     for one in controllers:
         if isinstance(one, Controller) and one.false_claims:
             complain(
-                f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
-                "gain is used unchanged; see python -m synth --check"
+                f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}); "
+                "the gain is used all the same; python -m synth --check explains this"
             )
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
-                f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}): it is "
-                "used unchanged; see python -m synth"
+                f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}); it is "
+                "used all the same; python -m synth explains this"
             )
 
 
 def _first(claims: Sequence[str]) -> str:
     """Returns the first of some claims, and the number of further ones."""
-    return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
+    return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
-LOGS = "logs for Rerun, and for Foxglove and Lichtblick (import the .layout.json there)"
+LOGS = "logs for Rerun and for Foxglove or Lichtblick, which import the .layout.json"
 
 
 def recorded(
@@ -183,7 +183,7 @@ def check_view(options: argparse.Namespace) -> None:
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, and --no-logs makes none; omit one of them"
+            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes none; omit one of the two"
         )
     if options.open:
         from sim.command.viewer import check_display
@@ -240,7 +240,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
         margins = {name: law_margins(*one) for name, one in linear.items()}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
         lines = [*text_lines(Document("", (*notes(*warnings(margins)), *statements(studied)))), *lines]
-    return ["", *lines, *(["-v adds gains, every signal and how the verdict is reached"] if few else [])] if lines else []
+    return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
 
 
 def standings_of(

@@ -120,7 +120,7 @@ def drive(
     driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
     runs = [run for each in driven for run in each.runs]
     shown = [run for each in driven for run in each.shown]
-    samples, start, words, step, response = (0, None), 0.0, "all of the run", {}, Document("")
+    samples, start, words, step, response = (0, None), 0.0, "over the whole run", {}, Document("")
     if rides:
         from sim.studies.ride import run_metrics, step_response
 
@@ -162,10 +162,10 @@ def drive(
         lines += _above(options, driven, start, end)
         if response.blocks and not options.brief:
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
-        settled = ", when all have settled" if rides and road.spectrum and start < options.duration / 2 else ""
+        settled = ", when all controllers have settled" if rides and road.spectrum and start < options.duration / 2 else ""
         about = f"MuJoCo, {words}{settled}"
         if len(shown) > FEW and not (options.verbose or options.brief):
-            about += "; -v: norms, expected ride, signals" if rides and road.spectrum else "; -v: norms, signals"
+            about += f"; -v prints norms{', expected ride' if rides and road.spectrum else ''} and signals"
         lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         say([*lines, "", *text_lines(Document("", verdicts(shown)))])
@@ -189,22 +189,22 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
     titles = stems if len({*stems}) == len(stems) else list(given)
     if len({*titles}) < len(titles):
         twice = next(title for title in titles if titles.count(title) > 1)
-        raise InputError(f"--vehicle {twice} is given twice; give it once")
+        raise InputError(f"--vehicle {twice} is given twice; give each vehicle once")
     return dict(zip(titles, vehicles, strict=True))
 
 
 def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None:
     for part in options.without:
         if options.without.count(part) > 1:
-            raise InputError(f"--without {part} is given twice; give it once")
+            raise InputError(f"--without {part} is given twice; give each part once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file contains it in [limits], [implementation] or [actuators]; omit the option"
+                f"--without {part}: no vehicle file has this part in [limits], [implementation] or [actuators]; omit the option"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
-        raise InputError("--as drives one vehicle as implemented; omit --without and give one --vehicle")
+        raise InputError("--as needs one vehicle with its whole implementation; omit --without, and give one --vehicle")
     if len(vehicles) > 1 and (options.open or options.serve):
-        raise InputError("--open and --serve show the recording of one vehicle, and each has its own; give one --vehicle")
+        raise InputError("--open and --serve show the recording of one vehicle, but several are given; give one --vehicle")
 
 
 def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> Driven:

@@ -23,13 +23,13 @@ NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be 
 
 def add_vehicles(parser: Parser) -> None:
     """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
-    parser.add_controller_and_vehicle("required", several="one table of all vehicles")
+    parser.add_controller_and_vehicle("required", several="results of all vehicles are in one table")
     parser.add_argument(
         "--without",
         action="append",
         choices=WITHOUT,
         default=[],
-        help="also run every controller without this part of the vehicle file, to show its effect: sensor noise and "
+        help="also simulate every controller without this part of the vehicle file, to show its effect: sensor noise and "
         "quantisation, delay of the forces, limits (largest force and bump stops), or lag of the actuators; may be repeated",
     )
 
@@ -49,7 +49,7 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted."""
-    return [f"left out: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
+    return [f"not simulated: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
@@ -64,16 +64,16 @@ def add_run_options(parser: Parser, duration: float) -> None:
         help="draw MuJoCo and linear analysis over time, with a panel for each weighted signal (.png, .svg or .pdf)",
     )
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write all signals over time, of MuJoCo and linear analysis (.csv)"
+        "--csv", type=Path, metavar="FILE", help="write all signals of MuJoCo and linear analysis over time (.csv)"
     )
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
-    logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")
+    logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="do not write log files")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(
-        "--open", action="store_true", help="open the recording in a Rerun window, which remains open after the command"
+        "--open", action="store_true", help="open the recording in a window of Rerun, which stays open after the command"
     )
-    view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine until Ctrl-C")
+    view.add_argument("--serve", action="store_true", help="show the recording in a browser on this machine until Ctrl-C")
     parser.add_printed(
         "gains, all signals and the details of the verdict",
         "print only the comparison of controllers and the verdicts",
@@ -81,7 +81,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 
 
 def add_exported(
-    parser: Parser, what: str = "run the controller as compiled code from this folder, written by python -m synth --export"
+    parser: Parser, what: str = "run the controller as compiled code from this folder, which python -m synth --export wrote"
 ) -> None:
     """Adds `--as`."""
     parser.add_argument(
@@ -95,7 +95,7 @@ def add_exported(
 
 def add_loads(parser: Parser, what: str) -> None:
     """Adds `--load`, which may be repeated."""
-    meaning = f"{what}; may be repeated, and all loads act together: {LOAD_SYNTAX}"
+    meaning = f"{what}; may be repeated, then all loads act together: {LOAD_SYNTAX}"
     parser.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
 
@@ -113,7 +113,7 @@ def add_road(parser: Parser, default: str) -> None:
         "--from",
         None,
         "m",
-        "start of the vehicle on a road from a file, in metres even if the file has another unit",
+        "start of the vehicle on a road from a file, in metres even if the file uses another unit",
         "first point",
     )
     parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
@@ -127,9 +127,9 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     choice = choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
-        raise InputError(f"--seed chooses a random road, and {choice.text!r} is not random; omit it")
+        raise InputError(f"--seed selects a random road, but {choice.text!r} is not random; omit --seed")
     if "speed" in options.given and choice.kind == "rig":
-        raise InputError("--speed does not apply to a rig, on which the vehicle stands still; omit it")
+        raise InputError("--speed does not apply to a test rig, on which the vehicle does not move; omit --speed")
     road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
     with error_in(f"road {choice.text!r}:"):
         road.check(vehicle, time)
@@ -159,9 +159,9 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
         return []
     if ends > duration:
-        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {rough(ends)} drives all of it")
-    lower = f"the road's points end at {rough(ends)} s of {duration:g} s; it is straight from there on, which lowers every rms"
-    return wrapped(f"{lower}: --duration {rough(ends)} measures the road alone")
+        return wrapped(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
+    lower = f"the points of the road end at {rough(ends)} s of {duration:g} s. The straight road after them lowers every rms"
+    return wrapped(f"{lower}; --duration {rough(ends)} ends the run with the points")
 
 
 def road_text(options: argparse.Namespace) -> str:
@@ -174,7 +174,7 @@ def road_text(options: argparse.Namespace) -> str:
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
     if options.road is not None:
-        raise InputError("give --class or --road, not both: --class C is --road iso8608:class=C")
+        raise InputError("--class and --road exclude each other; omit one (--class C means --road iso8608:class=C)")
     return f"iso8608:class={options.road_class.upper()}"
 
 

@@ -32,7 +32,7 @@ def check_display() -> None:
         InputError: there is no screen on which a window could open.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("--open needs a screen, but neither DISPLAY nor WAYLAND_DISPLAY is set; give --serve, and open its page")
+        raise InputError("--open needs a screen, but DISPLAY and WAYLAND_DISPLAY are not set; use --serve, and open its page")
 
 
 def open_viewer(recording: Path) -> None:
@@ -53,8 +53,8 @@ def open_viewer(recording: Path) -> None:
             if process.wait(FAILING):  # closed at once by the user, it ends with 0
                 said.seek(0)
                 raise InputError(
-                    f"--open: Rerun's window did not open ({_reason(said.read())}); the recording is {recording}: give --serve, "
-                    "and open its page"
+                    f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed page. "
+                    f"The recording is {recording}"
                 )
 
 
@@ -84,7 +84,7 @@ def serve_viewer(recording: Path) -> None:
         _wait_until_up(process, f"http://{LOOPBACK}:{page}")
         print(f"serving http://{LOOPBACK}:{page}?url={source}   press Ctrl-C to stop", file=sys.stderr, flush=True)
         process.wait()
-        raise InputError(f"the web viewer has ended by itself; try {pasted(command)}")
+        raise InputError(f"Rerun's web viewer ended unexpectedly; start it with {pasted(command)}")
     except KeyboardInterrupt:
         return
     finally:
@@ -123,4 +123,4 @@ def _wait_until_up(process: subprocess.Popen, address: str) -> None:
                 return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
-    raise InputError(f"Rerun's web viewer does not answer at {address}; open the recording with the command rerun instead")
+    raise InputError(f"Rerun's web viewer does not answer at {address}; open the recording with the command rerun")

@@ -43,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
     if kinds is not None and not kinds.is_dir():
-        raise InputError(f"kinds {kinds}: there is no such folder; give one with the .py and .xml of a kind of vehicle")
+        raise InputError(f"--kinds {kinds}: this folder does not exist; give a folder with the .py and .xml of a vehicle type")
     if options.csv is not None and not alone:
-        raise InputError(f"--csv writes the signals of one log, and {len(paths)} are given; give one log, or omit --csv")
+        raise InputError(f"--csv writes the signals of one log, but {len(paths)} are given; give one log, or omit --csv")
     read = [file for ending in ("py", "xml") for file in kinds.glob(f"*.{ending}")] if kinds is not None else []
     check_outputs({"csv": options.csv}, [*paths, *read], options.json)
     objects: list[dict[str, Any]] = []
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(result if alone else result | {"proves": hold == len(paths)}, allow_nan=False))
     elif not alone:
         said = f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}"
-        say([said] if options.verbose else ["-v has every finding", "", said])
+        say([said] if options.verbose else ["-v prints every finding", "", said])
     return code
 
 
@@ -89,13 +89,13 @@ def _parser() -> Parser:
     )
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=".mcap file of a run; one or more")
     parser.add_argument(
-        "--csv", type=Path, metavar="FILE", help="write the signals of one log: logged, and recomputed by MuJoCo (.csv)"
+        "--csv", type=Path, metavar="FILE", help="write the signals of one log, as logged and as recomputed by MuJoCo (.csv)"
     )
     parser.add_argument(
         "--kinds", type=Path, metavar="DIR", help="folder of a custom vehicle type, whose Python is executed (default: none)"
     )
     printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, for several logs, too")
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, even for several logs")
     printed.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else; for several logs {logs, proves}"
     )

@@ -20,7 +20,7 @@ from sim.recording.mcap_writer import PACKAGE
 from sim.recording.run_log import CONTINUOUS, FORMAT, MUJOCO, SAMPLED
 
 RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS)
-GIVE = "give an .mcap file that a run has written"
+GIVE = "give an .mcap file that a Roadproof command wrote"
 
 
 class Part(dict[str, Any]):
@@ -108,7 +108,7 @@ def read_log(path: Path) -> Log:
             records[type(record)].append(record)
         metadata = {one.name: one.metadata for one in records[Metadata]}
         if PACKAGE not in metadata:
-            raise InputError(f"Roadproof has not written it; {GIVE}")
+            raise InputError(f"Roadproof did not write this file; {GIVE}")
         for one in records[Message]:
             messages[one.channel_id].append(one)
         schemas = {one.id: one for one in records[Schema]}
@@ -123,8 +123,8 @@ def read_log(path: Path) -> Log:
         log = Log(path, metadata[PACKAGE], attachments, tuple(runs), len(records[Message]))
         if (written := log.metadata.get("format")) != str(FORMAT):
             raise InputError(
-                f"is of format {written}, written by Roadproof {log.versions.get('roadproof', 'of an early version')}; this "
-                f"version reads format {FORMAT}: take the version that wrote it"
+                f"the log has format {written} of Roadproof {log.versions.get('roadproof', 'in an early version')}, but this "
+                f"version reads format {FORMAT}; use the version that wrote the log"
             )
     return log
 

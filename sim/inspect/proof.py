@@ -39,8 +39,8 @@ PREDICTED = "rounding"  # of exported code, in results of earlier versions: it i
 REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
 OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # what numbers and keys that are not a run's come to
-GOALS = "the log makes no claim about its goals in vehicle.toml ({goals}); python -m synth checks them"
-EARLIER = "an earlier version wrote the log, with other numbers for laws of semi-active dampers; inspect it with that version"
+GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
+EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
 NOT_RUN = "the attached law was not executed; the logged forces were applied"
 
 
@@ -96,7 +96,7 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
         kinds: folder of vehicle types of the user's own; see `recorded_vehicle`.
     """
     findings = [Finding("file", HOLDS, f"{log.messages} messages, all checksums are correct")]
-    findings += [] if log.runs else [Finding("runs", MISSING, "the log has no run")]
+    findings += [] if log.runs else [Finding("runs", MISSING, "the log contains no run")]
     try:
         vehicle = recorded_vehicle(log, kinds)
     except InputError as error:
@@ -115,7 +115,7 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
     findings: list[Finding] = []
     there, here = vars(vehicle.implementation), vars(own.implementation)
     if other := ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key]):
-        findings.append(Finding("implementation", NOTE, f"differs from vehicle.toml: {other}"))
+        findings.append(Finding("implementation", NOTE, f"the run differs from vehicle.toml in: {other}"))
     if isinstance(controller, Controller):
         findings += _findings("certificate", _check_certificate(own, controller, recorded, log.timestep))
         if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
@@ -157,11 +157,11 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     if not (certificate.peaks_at(float(peak)) if there and peak is not None else peak is None and not there):
-        wrong.append("its peak frequency differs from the claimed one")
+        wrong.append("the peak frequency of the norm differs from the logged frequency")
     said = np.array(recorded.claim("poles"), dtype=float).reshape(len(certificate.poles), 2)
     far = np.abs(certificate.poles[:, None] - (said[:, 0] + 1j * said[:, 1])).min(axis=0).max()
     if not far <= SAME * np.abs(certificate.poles).max():
-        wrong.append("its poles differ from the claimed ones")
+        wrong.append("the poles of the loop differ from the logged poles")
     for text in wrong:
         yield Finding("certificate", FAILS, text)
     if wrong:
@@ -169,7 +169,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     sampled = f", sampled norm {NORM.digits(norm.value)}" if norm is not None and norm.stable else ""
     if not certificate.stable:
         without = notes_on_sampled_loop(vehicle, certificate, norm)
-        yield Finding("certificate", HOLDS, f"{(*without, certificate.stability.words)[0]}; as was claimed{sampled}")
+        yield Finding("certificate", HOLDS, f"{(*without, certificate.stability.words)[0]}; the log claims the same{sampled}")
         return
     below = f", lower bound {LOWER_BOUND.cell(certificate)}" if certificate.lower_bound is not None else ""
     yield Finding("certificate", HOLDS, f"stable, {claims(controller)}{below}{sampled}")
@@ -186,12 +186,12 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
         logged = logged.only([name for name in logged.names if name in response.names])
         until = end if topic == MUJOCO else math.inf
         if len(logged.time) != len(response.time):
-            yield Finding("responses", MISSING, f"{topic} has {len(logged.time)} samples of {len(response.time)}")
+            yield Finding("responses", MISSING, f"{topic} has {len(logged.time)} samples instead of {len(response.time)}")
             return
         far, signal = largest_difference(logged.until(until), response.until(until))
         worst = max(worst, far)
         if not far <= (REPLAYED if topic == MUJOCO else ROUNDING):
-            wrong.append(f"{signal} of the {topic} response differs by {DIFFERENCE.digits(far)} of its peak")
+            wrong.append(f"{signal} ({topic}) differs from the repeated run by {DIFFERENCE.digits(far)} of its peak")
     for text in wrong:
         yield Finding("responses", FAILS, text)
     if not wrong:
@@ -226,7 +226,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         return
     known = (DEFINITIONS,) if run.vehicle.dampers else (DEFINITIONS, ONE_SIDED)
     if command == "drive" and result.get("definitions") not in known:
-        yield Finding("result", MISSING, "its metrics have other definitions; inspect the log with the version that wrote it")
+        yield Finding("result", MISSING, "its metrics have other definitions; use the version of Roadproof that wrote the log")
         return
     now = run_object(run) | {"half_step": half_step_object(run)}
     now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
@@ -249,7 +249,7 @@ def _compared(part: str, source: str, said: Any, now: Any, what: str, holds: Seq
     """Compares what a log says with what is computed again: the first difference and how many more, or the lines that hold."""
     wrong = list(different(said, now))
     if wrong:
-        more = f" (and {len(wrong) - 1} more {what}, the first of them {wrong[1]})" if len(wrong) > 1 else ""
+        more = f" (and {len(wrong) - 1} more {what}, such as {wrong[1]})" if len(wrong) > 1 else ""
         yield Finding(part, FAILS, f"{source} differs from the repeated run: {wrong[0]}{more}")
         return
     yield from (Finding(part, HOLDS, text) for text in holds)

@@ -50,7 +50,7 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
     """
     vehicle_type = log.metadata.get("vehicle_type")
     if kinds is None and vehicle_type is not None and vehicle_type not in kind_names():
-        raise InputError("its vehicle type is not built in; give --kinds with the folder of its .py and .xml")
+        raise InputError(f"the vehicle type {vehicle_type} is not built in; give --kinds with the folder of its .py and .xml")
     text = log.attachments["vehicle.toml"].decode("utf-8", errors="replace")
     return parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
 
@@ -85,7 +85,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyCont
 def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
-        raise InputError(f"vehicle.toml has no such controller; it has {listing(vehicle.controller_names)}")
+        raise InputError(f"vehicle.toml has no controller {name!r}; it has {listing(vehicle.controller_names)}")
     entry = vehicle.controllers.get(name)
     if entry is not None and entry.python is not None:
         source = log.attachments[run.claims["law_file"]].decode("utf-8", errors="replace")
@@ -99,7 +99,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     if entry is not None and law.states:
         law = replace(law, anti_windup=entry.anti_windup)
     if entry is not None and preview is not None and preview.seconds != entry.preview:
-        raise InputError(f"it knows {preview.seconds} s of the road, and vehicle.toml gives it {entry.preview} s")
+        raise InputError(f"the logged preview is {preview.seconds} s, but the preview in vehicle.toml is {entry.preview} s")
     hardware = vehicle.hardware(name)
     recorded = ControllerEntry(name, tuple(signals), law, run.claim("certificate"), hardware=hardware)
     certificate, _ = verify_record(problem(vehicle, signals, hardware), recorded)
@@ -122,7 +122,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     timestep, times = log.timestep, run.responses[MUJOCO].times
     time = np.arange(len(times)) * timestep
     if not np.array_equal(np.round(time * 1e9), times):
-        raise InputError(f"its samples are not {timestep:g} s apart from 0 on")
+        raise InputError(f"the logged samples do not begin at 0 s, or are not {timestep:g} s apart")
     points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
     road = RoadInput(vehicle, described_road(run.claim("road"), points), time)
     driver: RunDriver = controller

@@ -68,7 +68,7 @@ def _describe_run(one: Inspected) -> Document:
         about.append(f"{len(time)} samples to {time[-1]:g} s at {run.prediction.timestep:g} s; {run.road.words}")
         about.append(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}: {controller.text}")
         if isinstance(controller, Controller) and controller.preview is not None:
-            about.append(f"{controller.name} answers the road {controller.ahead:g} s ahead, too")
+            about.append(f"{controller.name} also uses the road {controller.ahead:g} s ahead")
     return Document(title, (*notes(*about, detail="full"), *_statements(one.findings)))
 
 
@@ -97,7 +97,7 @@ def write_signals(path: Path, proof: Proof) -> None:
         InputError: the log has no signals of a known vehicle, or the file cannot be written.
     """
     if proof.vehicle is None:
-        raise InputError("--csv: there are no signals of a known vehicle in the log to write; omit --csv")
+        raise InputError("--csv: the log contains no signals of a known vehicle type; omit --csv")
     columns, longest, timestep = [], 0, proof.log.timestep
     for one in proof.runs:
         states = kept(one.again.controller) if one.again else ()

@@ -38,12 +38,11 @@ def at_rest_words(vehicle: Vehicle) -> str:
     """Describes the elements that MuJoCo runs otherwise in that vehicle; empty if there are none."""
     bent, phrases = bent_at_rest(vehicle), []
     if vehicle.dampers:
-        phrases.append("actuators that push in place of the adjustable dampers, so that every force is given")
+        phrases.append("force actuators instead of the adjustable dampers, so that every requested force acts")
     if bent:
-        noun = "curve of" if len(bent) == 1 else "curves of"
         whose = " and ".join(name.replace("_", " ") for name in bent)
-        phrases.append(f"lines in place of the {noun} {whose}, which {'bends' if len(bent) == 1 else 'bend'} at rest")
-    return f"MuJoCo has {' and '.join(phrases)}" if phrases else ""
+        phrases.append(f"straight lines instead of the curves of {whose}, which have a kink at equilibrium")
+    return f"Here, MuJoCo has {' and '.join(phrases)}" if phrases else ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,9 @@ class Energy(Shown):
     def shown(self) -> Document:
         """Returns whether it balances, and the energies."""
         parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
-        title = f"energy {self.verdict}: all but {difference(self.residual)} of the {JOULES.text(self.turnover)} turned over"
+        title = (
+            f"energy {self.verdict}: the residual is {difference(self.residual)} of the {JOULES.text(self.turnover)} exchanged"
+        )
         return facts(title, {name: JOULES.text(one) for name, one in parts.items() if one is not None})
 
     @property

@@ -49,8 +49,8 @@ class CodeDriver:
             assert isinstance(one, (Controller, SemiActive)), "other controllers have no exported code"
             if not is_law_of(code.law, vehicle, one):
                 raise InputError(
-                    f"exported code drives controller {one.name!r} as it was exported alone, and this run changes its law or its "
-                    "implementation; leave out --as"
+                    f"controller {one.name!r} has another law or implementation in this run than in the exported code; "
+                    "omit --as, or export the controller again"
                 )
         self._steps, self._range = [code.start() for code in self._codes], None
         self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * len(law.outputs) for code in self._codes])

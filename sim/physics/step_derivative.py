@@ -71,7 +71,7 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
     slopes = (up + down) / (2 * sizes[:, None])
     if np.any(np.abs(up - down).max(axis=0) > SMOOTH * np.abs(up + down).max(axis=0)):
         raise InputError(
-            "the vehicle has no derivative at equilibrium, where a curve bends; give sim.linear.nonlinear_elements.at_rest of it"
+            "the vehicle has no derivative at equilibrium, where a curve has a kink; use sim.linear.nonlinear_elements.at_rest"
         )
     A, B, C, D = slopes[:n, :n].T, slopes[n:, :n].T, slopes[:n, n:].T, slopes[n:, n:].T
     return StepDerivative(A, B, C, D, readout.names, model.na, timestep)

@@ -54,7 +54,7 @@ def record(
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
-        raise InputError(f"runs have the names {', '.join(names)}; give each another one")
+        raise InputError(f"the runs have the names {', '.join(names)}; give each run a different name")
     try:
         # In the same folder, so that the final renames move no data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
@@ -67,8 +67,7 @@ def record(
             return _published(written, folder, stem)
     except OSError as error:
         raise InputError(
-            f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
-            "give another one, or fix this one"
+            f"cannot write recordings in {folder} ({error.strerror or error}); give a writable folder with free space"
         ) from error
 
 

@@ -28,7 +28,7 @@ MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the lo
 CONTROLLER = "controller"  # page of these states
 SEEN = 6  # plots on one page; more would be too flat to read
 GAP = "difference"  # topic of differences
-DIFFERENCE = "difference: MuJoCo - sampled, of each signal's peak"
+DIFFERENCE = "difference: MuJoCo - sampled, relative to each signal's peak"
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,7 @@ LIFT_OFF = End(
 BUMP_STOP = End(
     "bump stop",
     "bump stop",
-    "bump stop: a suspension is first at the end of its stroke at {when}",
+    "bump stop: a suspension first reaches the end of its stroke at {when}",
     "#e8955a",
     ("Square", (255, 0, 200)),
     _at_the_stops,
@@ -157,7 +157,7 @@ BUMP_STOP = End(
 SATURATION = End(
     "force saturation",
     "actuator saturated",
-    "saturation: an actuator first gives its largest force at {when}",
+    "saturation: an actuator first reaches its largest force at {when}",
     "#c9a3d9",
     ("Diamond", (0, 220, 220)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.actuator_force),
@@ -173,7 +173,7 @@ FLAT = End(  # no model of the vehicle holds from there
 CURVE = End(
     "curve",
     "curve left",
-    f"curve: a damper or spring first leaves its linearisation by {100 * LEAVES:g} % of its largest force at {{when}}",
+    f"curve: a damper or spring first differs from its line by {100 * LEAVES:g} % of its largest force at {{when}}",
     "#a3b86c",
     ("Asterisk", (150, 255, 60)),
     _off_the_line,
@@ -182,7 +182,7 @@ CURVE = End(
 DAMPER = End(
     "damper",
     "damper at its end",
-    "damper: a semi-active damper first cannot give the requested force at {when}",
+    "damper: a semi-active damper first fails to supply the requested force at {when}",
     "#8fbf7f",
     ("Circle", (120, 255, 120)),
     lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.adjustable],
@@ -193,10 +193,10 @@ END_NAMES = tuple(end.name for end in REGIME_ENDS)
 DEMAND_CLIPPED = (
     "saturation: the command of a lagging actuator first exceeds its largest force at {when}; anti-windup acts from then on"
 )
-COMMAND_LIMITED = "saturation: a command is first beyond the largest force at {when}, and is limited before the lag"
+COMMAND_LIMITED = "saturation: a command first exceeds the largest force at {when}; it is limited before the actuator's lag"
 DIVERGENCE = "divergence"
 LAW_OVERFLOW = "law overflow"
-RAN_AWAY = "the states of the law overflow; from {when} on, it requests no finite force"
+RAN_AWAY = "the states of the control law overflow; from {when} on, the law requests no finite force"
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:

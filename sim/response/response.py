@@ -46,7 +46,7 @@ class Response(Shown):
         check_fields(self)
         expected = (len(self.time), len(self.signals))
         if self.values.shape[-2:] != expected:
-            raise InputError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
+            raise InputError(f"values end in shape {self.values.shape[-2:]}, but time and signals need {expected}")
 
     @property
     def shown(self) -> Document:
@@ -82,7 +82,7 @@ class Response(Shown):
             InputError: the run does not exist.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
-            raise InputError(f"index = {index} is not a run of values of shape {self.values.shape}; give one of its first axis")
+            raise InputError(f"index = {index} selects no run of shape {self.values.shape}; give an index of the first axis")
         before = {name: values[index] for name, values in self.before.items()}
         return Response(self.time, self.signals, self.values[index], before)
 
@@ -183,7 +183,7 @@ class Response(Shown):
 
     def _check_single(self) -> None:
         if self.values.ndim != 2:
-            raise InputError(f"the response holds runs of shape {self.values.shape[:-2]}; take one, as in response.run(0)")
+            raise InputError(f"the response contains runs of shape {self.values.shape[:-2]}; select one, as in response.run(0)")
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop overflows

@@ -40,7 +40,7 @@ from synth.controller.controller import Controller, has_anti_windup
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
 SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
-NO_REFERENCE = "no linear reference"
+NO_REFERENCE = "no linear analysis"
 SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
 
 
@@ -106,7 +106,7 @@ class Agreement(Shown):
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
-        return facts(f"agreement: {'agrees' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
+        return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 
     @property
     def agrees(self) -> bool:

@@ -55,11 +55,11 @@ class CodeEffect:
     @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""
-        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the law itself does not agree"]
+        lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the control law itself does not agree with the model"]
         if self.share > MOST:
             lines.append(
-                f"DOES NOT AGREE: the code moves {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, allowed {MOST:g}; "
-                "export it in finer numbers, or with smaller ranges"
+                f"DOES NOT AGREE: exported code changes {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, "
+                f"but {MOST:g} is allowed; export the controller with finer numbers, or with smaller ranges"
             )
         return lines
 

@@ -62,12 +62,12 @@ def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:
-        raise InputError(f"the forces of its law are not a table of {', '.join(names)} at {samples} samples")
+        raise InputError(f"the logged forces of the law are not a table of {', '.join(names)} with {samples} samples")
     try:
         rows = content.decode("ascii").split("\n")[1:-1]
         forces = np.array([[float(number) for number in row.split(",")] for row in rows]).reshape(samples, m)
     except ValueError:
-        raise InputError(f"the forces of its law are not {samples} rows of {m} numbers") from None
+        raise InputError(f"the logged forces of the law are not {samples} rows of {m} numbers") from None
     if not np.all(np.isfinite(forces)):
-        raise InputError("a force of its law is not finite")
+        raise InputError("a logged force of the law is not finite")
     return forces

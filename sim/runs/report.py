@@ -56,15 +56,15 @@ from synth.controller.report import (
 )
 from synth.controller.report import notes as controller_remarks
 
-LOST = "beyond its equations"
+LOST = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
 NUMBERS = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 
 ENERGY: tuple[Field[Energy], ...] = (
     *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("turned over", attrgetter("turnover"), JOULES.form, unit="J"),
-    RESIDUAL := Field("left over", attrgetter("residual"), "{:.1e}".format),
+    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]"),
+    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
 HALF = 0.5  # of the requested force: if dampers miss more, linear analysis says little about the run
@@ -155,13 +155,13 @@ def energy_table(runs: Sequence[RunResult], where: str) -> Table:
     known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
     fields = (name, *(field.of(get) for field in ENERGY))
-    return Table.of("energy", f"Energy over {where}: its sources, and where it went.", fields, known)
+    return Table.of("energy", f"Energy balance over {where}.", fields, known)
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
     if not isinstance(controller, Controller):
-        forced = ["sampled and continuous are the linear responses to the forces that the law requested"]
+        forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
         return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -182,7 +182,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller, or the reason for which it has none."""
     if not isinstance(controller, Controller):
-        return f"no linear claim ({controller.kind})"
+        return f"linear analysis does not apply ({controller.kind})"
     certificate = controller.certificate
     if not certificate.stable:
         return f"ideal loop {certificate.own.words}"
@@ -190,7 +190,7 @@ def claims(controller: AnyController) -> str:
         return "no finite norm"
     where = f" at {PEAK.text(certificate.norm.peak_frequency)}" if math.isfinite(certificate.norm.peak_frequency) else ""
     bound = f", bound {BOUND.cell(certificate)}" if certificate.bound is not None else ""
-    return f"norm {NORM.cell(certificate)}{where}{bound}{', of its feedback alone' * (controller.preview is not None)}"
+    return f"norm {NORM.cell(certificate)}{where}{bound}{', without preview' * (controller.preview is not None)}"
 
 
 def verdict(run: RunResult) -> Statement:
@@ -198,20 +198,21 @@ def verdict(run: RunResult) -> Statement:
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
     if run.physics.ran_away and not run.passed:
-        overflow = f"LAW OVERFLOW at {WHEN.text(run.diverged)}: rounding decides the forces of this law; the run is not evaluated"
+        overflow = f"LAW OVERFLOW at {WHEN.text(run.diverged)}: rounding decides the forces; the run is not evaluated"
         return Statement(overflow, "fails", "brief")
     if steps is not None and not steps.agrees:
-        words.append(f"DOES NOT AGREE step by step from {WHEN.text(steps.since)} on ({steps.signal})")
+        words.append(f"MuJoCo DOES NOT AGREE with the equations of motion from {WHEN.text(steps.since)} on ({steps.signal})")
     if commands is not None and not commands.agrees:
-        words.append(f"COMMANDS ARE NOT THE LAW'S from {WHEN.text(commands.since)} on ({commands.signal})")
+        words.append(f"COMMANDS DO NOT AGREE with the control law from {WHEN.text(commands.since)} on ({commands.signal})")
     if code is not None and not code.agrees:
-        words.append("DOES NOT AGREE with the law of its code")
+        words.append("exported code DOES NOT AGREE with the control law")
     if not agreement.follows_linear:
-        words.append(f"DOES NOT AGREE with linear analysis {_when(run)}")
+        words.append(f"MuJoCo DOES NOT AGREE with linear analysis {_when(run)}")
     if not words and not agreement.agrees:
-        words.append("NOTHING COMPARED")
+        words.append("NOTHING WAS COMPARED with the model")
     if not words:
-        words += ["agrees", f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE]
+        linear = f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
+        words += ["MuJoCo agrees with the model", linear]
     if agreement.coarse or (energy is not None and not energy.judged):
         words.append("the timestep is too coarse for accurate numbers")
     if energy is not None:
@@ -230,7 +231,7 @@ def _when(run: RunResult) -> str:
     """Returns the time until which linear analysis applies, and what ends it."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
-        return "throughout"
+        return "over the whole run"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
         ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
@@ -323,7 +324,7 @@ def _events(run: RunResult) -> Iterator[str]:
         when = f"{WHEN.text(agreement.until)}; no later step is compared"
         yield f"flat: a tyre is compressed by more than {MOST_SQUEEZE} m at {when}"
     if agreement.lost:
-        yield f"{LOST}: from {WHEN.text(agreement.until)} on, {NO_STATE}; no later step is compared"
+        yield f"{LOST} from {WHEN.text(agreement.until)} on: {NO_STATE}; no later step is compared"
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
@@ -338,7 +339,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
     steps, commands, code = run.agreement.steps, run.agreement.commands, run.agreement.code_effect
     if steps is None:
         small = any(signal.small is not None for signal in run.agreement.signals.values())
-        first_order = "; the run is compared to first order" if small else ""
+        first_order = "; the run is compared with linear analysis to first order" if small else ""
         yield Statement(f"no step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
     elif steps.until > 0:
         wrong = f"DOES NOT AGREE from {WHEN.text(steps.since)} on: not every MuJoCo step"
@@ -349,14 +350,14 @@ def _checks(run: RunResult) -> Iterator[Statement]:
         text = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
         yield Statement(text, "note" if commands.agrees else "fails")
     elif commands is not None:
-        subject = "every command" if commands.agrees else "COMMANDS ARE NOT THE LAW'S: not every command"
+        subject = "every command" if commands.agrees else "COMMANDS DO NOT AGREE: not every command"
         yield _check(subject, "equals the control law evaluated on the run's measurements", commands)
     yield from (Statement(text, "fails") for text in (code.failures if code is not None else ()))
 
 
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
-    text = f"{subject} {what}: largest error {error} of a peak ({one.signal}), allowed {ALLOWED.digits(one.allowed)}"
+    text = f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED.digits(one.allowed)} is allowed"
     return Statement(text, "note" if one.agrees else "fails")
 
 
@@ -364,10 +365,10 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     """Yields sentences on the distance from linear analysis, and its cause."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
-        yield Statement(f"{NO_REFERENCE}: setting semi-active dampers is not linear, even at small amplitudes")
+        yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
         return
     if agreement.until <= 0:
-        yield Statement(f"linear analysis applies {_when(run)}: nothing is compared with it")
+        yield Statement(f"nothing is compared with linear analysis, which applies {_when(run)}")
         return
     wrong = [name for name, signal in signals.items() if not signal.agrees]
     worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
@@ -377,8 +378,8 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if signal.small is not None:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
     if wrong:
-        size = f"{size} of a peak{small} ({worst}), allowed {DIFFERENCE.digits(signal.allowed)}"
-        yield Statement(f"DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}", "fails")
+        size = f"{size} of a peak{small} ({worst}), {DIFFERENCE.digits(signal.allowed)} is allowed"
+        yield Statement(f"MuJoCo DOES NOT AGREE with {what} {_when(run)}: the largest difference is {size}", "fails")
     else:
         yield Statement(
             f"{what} is within {size} of every peak{small} {_when(run)}; "
@@ -386,7 +387,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         )
     if agreement.coarse:
         yield Statement(
-            f"the timestep is too coarse: RK4's own error is more than {percent(COARSEST)} of a peak; use a smaller one"
+            f"the timestep is too coarse: RK4's own error is more than {percent(COARSEST)} of a peak; use a smaller timestep"
         )
 
 
@@ -397,7 +398,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         return
     of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
-        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it took"
+        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
@@ -407,7 +408,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, allowed {ENERGY[-1].cell(energy)}"
+        more = f"{of} is neither stored nor dissipated, {ENERGY[-1].cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
@@ -426,7 +427,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
     every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
     others = [text for text in every if not any(one.startswith(text) for one in first)]
-    ended = f"errors: until {WHEN.text(until)}; peak and rms: whole run"
+    ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(
         f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}",
@@ -457,7 +458,7 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
             rows.append((label, kind, *numbers, *apart, change))
     headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "cont. error", "change %")[: 8 if passive else 7]
     shown = tuple(row[: len(headings)] for row in rows)
-    return Table("signals", "Peak and rms of every signal, and its change against the passive vehicle.", headings, shown)
+    return Table("signals", "Peak and rms of every signal, and the change from the passive vehicle.", headings, shown)
 
 
 def _damper_notes(run: RunResult) -> list[Statement]:
@@ -468,14 +469,14 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:
-            texts.append(f"{names[force]}: with its valve's lag, {percent(one.late)} (rms) of the requested force is missing")
+            texts.append(f"{names[force]}: the valve's lag removes {percent(one.late)} (rms) of the requested force")
         if one.time:
             texts.append(
-                f"{names[force]} is from {COEFFICIENT.digits(one.softest)} to {COEFFICIENT.text(one.hardest)}; the damper lacks "
-                f"{percent(one.rms)} (rms) of the requested force, at {percent(one.time)} of the samples"
+                f"{names[force]} is between {COEFFICIENT.digits(one.softest)} and {COEFFICIENT.text(one.hardest)}; "
+                f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
             )
     if most > HALF and isinstance(run.controller, Controller):
-        text = f"norms and margins do not describe this run: a semi-active damper misses {percent(most)} of the requested force"
+        text = f"norms and margins do not describe this run: a semi-active damper lacks {percent(most)} of the requested force"
         return [*notes(*texts), Statement(text, "ends")]
     return [*notes(*texts)]
 
@@ -484,17 +485,15 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
     """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
     if effect is None:
         return []
-    line = f"compiled code in {effect.numbers} drives it"
+    line = f"the controller runs as compiled code in {effect.numbers}"
     if effect.clipped:
-        return [f"{line}; {effect.clipped[0]} leaves its range on this road and is clipped there: export with a larger --range"]
+        return [f"{line}; {effect.clipped[0]} exceeds its range on this road, and is clipped: export with a larger --range"]
     if not any(map(effect.peak, effect.apart)):
-        return [f"{line}; its run equals that of the law bit for bit"]
+        return [f"{line}; the run equals that of the control law bit for bit"]
     force = max(vehicle.linear_model.inputs, key=effect.peak)
-    apart = f"{OF_CODE.digits(effect.peak(force))} N at most and {OF_CODE.digits(effect.rms(force))} N rms"
-    return [
-        f"{line}; {force} differs from that of the law by {apart}, and any signal by {DIFFERENCE.digits(effect.share)} of its "
-        "peak at most"
-    ]
+    apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
+    share = DIFFERENCE.digits(effect.share)
+    return [f"{line}; {force} differs from that of the control law by {apart}, and every signal by at most {share} of its peak"]
 
 
 def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
@@ -505,7 +504,7 @@ def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
         replace(OF_CODE, label="rms", value=effect.rms),
         replace(OF_CODE, label="at most", value=effect.peak),
     )
-    caption = "Difference of MuJoCo's run with the code from its run with the law itself, over the same road."
+    caption = "Difference between MuJoCo's runs with the exported code and with the control law itself, over the same road."
     return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")
 
 

@@ -57,7 +57,7 @@ class Run(RunResult, Shown):
         from sim.runs.time_histories import history_panels
 
         panels = history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
-        figure = Figure("run", "Line: sampled response. Markers: MuJoCo.", tuple(panels), columns=1)
+        figure = Figure("run", "Lines show the exact sampled response, markers show MuJoCo.", tuple(panels), columns=1)
         return (signal_table(self), *([figure] if panels else []))
 
 
@@ -88,15 +88,15 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
         if lag * largest > RK4_REACH:
             raise InputError(
                 f"timestep = {timestep} s is too large: {above}, because of [actuators] bandwidth = {lag:g} rad/s; give a "
-                "smaller timestep, or a lower bandwidth"
+                "smaller timestep or bandwidth"
             )
-        units = ", or masses in kg, stiffness in N/m and damping in N s/m, if they are in others"
-        instead = "0.001 is usual" if largest > 1e-3 else f"give a smaller one{units if largest < STIFF else ''}"
+        units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
+        instead = "give 0.001, for example" if largest > 1e-3 else f"give a smaller timestep{units if largest < STIFF else ''}"
         raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")
     if duration < 2 * timestep:
-        raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer one")
+        raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer duration")
     if duration / timestep > MOST_SAMPLES:
-        raise InputError(f"{duration / timestep:.2g} samples are too many; at most {MOST_SAMPLES} (duration / timestep)")
+        raise InputError(f"duration / timestep = {duration / timestep:.2g} is too large; give at most {MOST_SAMPLES} samples")
     return np.arange(round(duration / timestep) + 1) * timestep
 
 

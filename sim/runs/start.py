@@ -72,6 +72,6 @@ def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
         return []
     share, peak = effect
     return wrapped(
-        f"remark: the road before the start is unknown, and may have changed {peak} by {percent(share)}; "
+        f"remark: the unknown road before the start could change {peak} by {percent(share)}; "
         f"start {'earlier or ' if later else ''}elsewhere with --from"
     )

@@ -197,7 +197,7 @@ def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     if (during := _hardest_stretch(runs)) is not None:
         near = history_panels(runs, looks, during)
         panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
-        note = f". Each signal over all of the run, then from {WHEN.digits(during[0])} to {WHEN.text(during[1])}"
+        note = f". Each signal is shown over the whole run, then from {WHEN.digits(during[0])} to {WHEN.text(during[1])}"
     broken = [
         f"{as_name(run.controller.name)} broke off at {WHEN.text(off[1])} ({off[0]})"
         for run in runs
@@ -205,10 +205,10 @@ def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     ]
     note += f". {', '.join(broken)}" if broken else ""
     kind = " and ".join(dict.fromkeys(run.vehicle.kind.name.replace("_", " ") for run in runs))
-    lines = "Lines: exact sampled response"
+    lines = "Lines show the exact sampled response"
     if any(curve.filled for panel in panels for curve in panel.curves):
-        lines += ", and MuJoCo once the linear regime has ended (full markers); thin: how that response goes on"
-    title = f"{kind} over {where}. {lines}. Markers: MuJoCo{note}"
+        lines += ", and MuJoCo after the end of the linear regime (full markers); thin lines continue the sampled response"
+    title = f"{kind} over {where}. {lines}. Markers show MuJoCo{note}"
     return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
 
 

@@ -171,7 +171,9 @@ def test_sensors_that_are_wrong_at_large_motions_alone_are_found(signal):
     assert steps.signal == "heave_acceleration"
     apart = np.abs(run.physics[steps.signal] - clean.physics[steps.signal])
     assert steps.since == run.physics.time[(apart > steps.allowed * run.physics.scale(steps.signal)).argmax()]
-    assert verdict(run).text.startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on (heave_acceleration)")
+    assert verdict(run).text.startswith(
+        f"MuJoCo DOES NOT AGREE with the equations of motion from {steps.since:.4g} s on (heave_acceleration)"
+    )
     said = f"DOES NOT AGREE from {steps.since:.4g} s on: not every MuJoCo step"
     assert any(line.text.startswith(said) for line in reasons(run))
 
@@ -242,7 +244,7 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
     assert commands.since == clean.physics.time[at[0]]
     for name, run in runs.items():
         assert changed(run, clean), name
-        assert verdict(run).text.startswith("COMMANDS ARE NOT THE LAW'S from "), name
+        assert verdict(run).text.startswith("COMMANDS DO NOT AGREE with the control law from "), name
 
 
 @pytest.mark.parametrize("regime", ["saturation", *attacks(["linear", "semi-active"])])

@@ -144,7 +144,7 @@ def test_drive(log_of, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b'"definitions": 6', b'"definitions": 1', "its metrics have other definitions; inspect the log with the version"),
+        (b'"definitions": 6', b'"definitions": 1', "its metrics have other definitions; use the version"),
         (b'"settled": {"share": 0.', b'"settled": {"share": 1.', "result.json differs from the repeated run: settled.share"),
         (b'"expected": 0.', b'"expected": 1.', "result.json differs from the repeated run: metrics."),
     ],
@@ -335,11 +335,11 @@ def test_change_is_found(what, parts, tmp_path, capsys):
     [
         (
             lambda parts: parts.with_claim("run/I", "errors", lambda text: text.replace(": ", ": 1")),
-            r"the log differs from the repeated run: errors\.\w+ \(and 5 more claims, the first of them errors\.\w+\)",
+            r"the log differs from the repeated run: errors\.\w+ \(and 5 more claims, such as errors\.\w+\)",
         ),
         (
             lambda parts: parts.with_attachment("result.json", lambda data: data.replace(b'"mujoco": 0.', b'"mujoco": 7.')),
-            r"result\.json differs from .* run: [\w.]+ \(and \d+ more numbers of the result, the first of them [\w.]+\)",
+            r"result\.json differs from .* run: [\w.]+ \(and \d+ more numbers of the result, such as [\w.]+\)",
         ),
         (claim("errors", '"sprung_velocity": ', '"sprung_velocity": 1'), "the log differs from .* run: errors.sprung_velocity"),
     ],
@@ -412,7 +412,7 @@ def test_another_format(parts, tmp_path):
     """A log of another format is refused with one line that names the version that wrote it."""
     path = tmp_path / "other.mcap"
     path.write_bytes(written(parts.with_claim("roadproof", "format", lambda _: "2")))
-    with refused(match=r"is of format 2, written by Roadproof 0\.1\.0; this version reads format 1"):
+    with refused(match=r"the log has format 2 of Roadproof 0\.1\.0, but this version reads format 1"):
         main([str(path)])
 
 
@@ -475,7 +475,7 @@ def test_csv(log, tmp_path, capsys):
     assert [row[column + 1] for row in rows] == [row[column + 2] for row in rows]
     assert [path.name for path in tmp_path.iterdir()] == ["signals.csv"]
     for logs, table, said in (
-        ([log, log], "signals.csv", "^--csv writes the signals of one log, and 2 are given; give one log, or omit --csv$"),
+        ([log, log], "signals.csv", "^--csv writes the signals of one log, but 2 are given; give one log, or omit --csv$"),
         ([log], log, "is an input file"),
         ([log], "absent/x.csv", "there is no folder"),
         ([log], "x.txt", r"csv .*x\.txt: a table is written as CSV; give a name that ends in \.csv"),

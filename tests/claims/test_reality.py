@@ -103,7 +103,7 @@ def test_noise_and_geometry_are_causes():
     *_, steps, commands, distance, _ = [one.text for one in reasons(run)]
     assert steps.startswith("every MuJoCo step equals one RK4 step of the vehicle's equations of motion from the same state: ")
     assert commands.startswith("every command equals the control law evaluated on the run's measurements: largest error ")
-    assert "of every peak throughout; the difference comes from geometry and noise" in distance
+    assert "of every peak over the whole run; the difference comes from geometry and noise" in distance
 
 
 def lyapunov_rms(vehicle, controller, step, noise):

@@ -99,7 +99,7 @@ def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
     """If nothing is wrong, a run agrees: over high roads and low ones, for short and long times, at any step."""
     for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
         assert run.passed, (run.controller.name, reasons(run))
-        assert verdict(run).text == "agrees; linear analysis applies throughout; energy balances"
+        assert verdict(run).text == "MuJoCo agrees with the model; linear analysis applies over the whole run; energy balances"
 
 
 @pytest.mark.parametrize(("duration", "height"), [(0.6, 0.1), (0.2, LOWEST), *attacks([(0.6, 1e-3)])])
@@ -109,9 +109,11 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
     steps = run.agreement.steps
     assert steps is not None
     assert not run.agrees
-    assert verdict(run).text.startswith(f"DOES NOT AGREE step by step from {steps.since:.4g} s on ({steps.signal})")
+    assert verdict(run).text.startswith(
+        f"MuJoCo DOES NOT AGREE with the equations of motion from {steps.since:.4g} s on ({steps.signal})"
+    )
     (line,) = [one.text for one in reasons(run) if one.text.startswith("DOES NOT AGREE from ")]
-    assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}), allowed {steps.allowed:.0e}")
+    assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}), {steps.allowed:.0e} is allowed")
 
 
 def test_an_exactly_linear_run_follows_its_sampled_response(vehicle, controllers):
@@ -180,9 +182,9 @@ def test_a_type_without_equations_is_compared_to_first_order(name, height, step,
     run = driven(car, controller, Bump(height=height), 0.8, step)
     assert run.agrees, reasons(run)
     assert run.agreement.steps is None
-    assert any("compared to first order" in line.text for line in reasons(run))
+    assert any("compared with linear analysis to first order" in line.text for line in reasons(run))
     wrong = driven(heavier(car, 0.01), controller, Bump(height=height), 0.8, step)
-    assert verdict(wrong).text.startswith("DOES NOT AGREE with linear analysis throughout")
+    assert verdict(wrong).text.startswith("MuJoCo DOES NOT AGREE with linear analysis over the whole run")
 
 
 @pytest.mark.parametrize("seed", [68, 89, 111])

@@ -103,11 +103,13 @@ def test_logs_are_written_and_named(capsys, tmp_path):
     """`--logs DIR` makes the folder for an MCAP file, its layout and a Rerun file; above the verdict it says how to open them."""
     folder = tmp_path / "deep" / "down"
     assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1", "--logs", str(folder), "-v"]) == 0
-    *_, opens, first, _, said = capsys.readouterr().out.splitlines()
+    *_, opens, first, _, said, more = capsys.readouterr().out.splitlines()
     layout, mcap, rrd = sorted(folder.iterdir())
     assert opens == f"  rerun {rrd}"
     assert first.strip() == str(mcap)
-    assert said == "passive, II: agrees; linear analysis applies throughout; energy balances"
+    assert (
+        said + more == "passive, II: MuJoCo agrees with the model; linear analysis applies over the whole  run; energy balances"
+    )
     assert layout.name.endswith(".layout.json")
     with mcap.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -132,7 +134,8 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
 def test_a_step_that_is_too_coarse_is_in_the_verdict(capsys):
     """At 20 ms RK4 is a tenth of the peak off: the run is that of the model, and the verdict says that its step is too coarse."""
     assert main(["--controller", "I", "--no-logs", "--timestep", "0.02"]) == 0
-    assert "agrees; linear analysis applies throughout; the timestep is too coarse" in prose(capsys.readouterr().out)
+    said = "MuJoCo agrees with the model; linear analysis applies over the whole run; the timestep is too coarse"
+    assert said in prose(capsys.readouterr().out)
 
 
 def test_another_vehicles_prediction_does_not_agree(paper, designer):
@@ -180,7 +183,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     assert run["agrees"] is True
     assert (run["controller"]["norm"], run["controller"]["peak_frequency"]) == (None, None)
     main(["--controller", "mine", "--controller", "passive", "--no-logs", "--vehicle", vehicle, "--brief"])
-    assert "mine: UNSTABLE loop; agrees" in prose(capsys.readouterr().out)
+    assert "mine: UNSTABLE loop; MuJoCo agrees" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e5", False), ("-1e7", True), ("1e12", False)])

@@ -18,7 +18,7 @@ from tests.support.pages import page
 
 ROOT = Path(__file__).parents[2]
 FIRST = {  # how the first sentence below the title begins, of a command whose verdicts are there
-    "sim.sweep": r"Every frequency response in MuJoCo is within [\de.-]+ of the exact one of the sampled loop for "
+    "sim.sweep": r"For .*, every frequency response in MuJoCo is within [\de.-]+ of the exact response of the sampled loop\."
     r"|\w+ (DOES NOT AGREE|left the linear regime): "
 }
 LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"

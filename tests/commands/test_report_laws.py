@@ -55,7 +55,7 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
     assert all(abs(float(order) - 4) < 0.1 for order in orders - {"-"})  # RK4's, beside the response to its own forces
     (short,) = rows_of(found, "summary")
     assert (short["H-infinity norm"], short["analysis true up to"]) == ("-", "-")
-    assert short["over the paper's bump"].startswith("agrees; ")
+    assert short["over the paper's bump"].startswith("MuJoCo agrees with the model; ")
     assert not rows_of(found, "regime")
 
 
@@ -85,7 +85,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
     (one,) = shortfalls(vehicle, run.physics).values()
     said = (
-        f"`I`: norms and margins do not describe this run: a semi-active damper misses {percent(one.rms)} of the requested force"
+        f"`I`: norms and margins do not describe this run: a semi-active damper lacks {percent(one.rms)} of the requested force"
     )
     assert said in found["answer"]
     assert found["answer"][0].startswith("Linear analysis does not apply to `skyhook` (a semi-active law)")
@@ -93,7 +93,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     assert rows["I"]["analysis true up to"].endswith(" m")
     (end,) = [row for row in found["tables"]["regime"] if row["controller"] == "I"]
     assert (end["predicted end"], end["ended by"]) == ("lift-off", "lift-off")
-    assert float(end["off by, of a peak"]) < 1e-3  # RK4's at 2 ms, of the switched response; of the linear one it is 1
+    assert float(end["error, relative to a peak"]) < 1e-3  # RK4's at 2 ms, of the switched response; of the linear one it is 1
     bump = [row for row in found["tables"]["bump"] if row["controller"] == "I"]
     assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.ended['damper']:.4g}"}
     assert {row["to continuous"] for row in found["tables"]["agreement"]} == {"-"}

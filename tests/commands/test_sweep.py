@@ -39,7 +39,7 @@ def test_a_failed_claim_is_the_state_of_the_document(paper, some):
     for sweeps, state in ((some, "holds"), ([worse, some[1]], "fails")):
         assert describe(paper, [one.lines for one in sweeps], sweeps, [], 1e-4, STEP).state == state
     (failed,) = [one.text for one in describe(paper, [worse.lines], [worse], [], 1e-4, STEP).statements if one.state == "fails"]
-    assert failed.startswith(f"`{SOME[0]}` DOES NOT AGREE: the response of ")
+    assert failed.startswith(f"`{SOME[0]}` DOES NOT AGREE: the frequency response of ")
     assert [holds(one) for one in (worse, *some)] == [False, True, True]  # the exit code
 
 
@@ -131,19 +131,19 @@ def test_what_is_no_error_of_the_integrator_disagrees(coarse):
     low = np.where(coarse.lines.omega < 10, 1 + 2e-4, 1)
     off = dataclasses.replace(coarse.lines, measured=coarse.lines.measured * low[:, None])
     (line,) = failures(dataclasses.replace(coarse, lines=off))
-    assert line.startswith("the response of ")
+    assert line.startswith("the frequency response of ")
     assert "coarse" not in line
     for factor in (1 + 1e-4, 1 - 2e-3):
         gains = {name: factor * gain for name, gain in coarse.extremes.gains.items()}
         (line,) = failures(dataclasses.replace(coarse, extremes=dataclasses.replace(coarse.extremes, gains=gains)))
-        assert "; the held-road norm is " in line
+        assert "; the discrete-time norm is " in line
 
 
 def test_a_step_that_is_too_coarse_is_named(paper, designer):
     """At 10 ms RK4 is a fortieth off, which confirms nothing; the line says what to do."""
     (one,) = sweep(paper, [designer.design("I")], 1e-4, 1e-2, 12.5)
-    (line,) = (text for text in failures(one) if text.startswith("the response of "))
-    assert "1.01e-02 is allowed; the timestep is too coarse, give a smaller one" in line
+    (line,) = (text for text in failures(one) if text.startswith("the frequency response of "))
+    assert "1.01e-02 is allowed; the timestep is too coarse, give a smaller timestep" in line
 
 
 @pytest.mark.parametrize("name", ["half_car", "full_car"])

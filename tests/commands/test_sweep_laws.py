@@ -151,9 +151,9 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn):
     for numbers in (found.gains, found.measured, found.outside):
         assert np.isnan(numbers[wild]).all()
     assert np.isfinite(found.gains[~wild]).all()
-    some = f"{wild.sum()} of {count} runs diverged, the first at {found.diverged.min():.4g} s. They are not measured."
+    some = f"{wild.sum()} of {count} runs diverged, the first at {found.diverged.min():.4g} s. These runs are not measured."
     nothing = replace(found, diverged=np.zeros(count), ended=("divergence",))
-    for one, said, state in ((found, some, "note"), (nothing, "every run diverged, and nothing is measured.", "fails")):
+    for one, said, state in ((found, some, "note"), (nothing, "every run diverged, so nothing is measured.", "fails")):
         document = describe(vehicle, [], [], [one], AMPLITUDE, COARSE)
         assert [each.text for each in document.statements if "diverged" in each.text] == [f"`mine`: {said}"]
         assert document.state == state
@@ -168,4 +168,4 @@ def test_a_law_of_which_nothing_is_measured_is_no_success(tmp_path, capsys):
     path = vehicle_of(tmp_path, WILD.format(limit=-1.0), more=f"preview = {COARSE}")
     assert main(["--vehicle", str(path), "--controller", "mine", "--timestep", f"{COARSE}", "--json"]) == 1
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]
-    assert found["failures"] == ["every run diverged, and nothing is measured"]
+    assert found["failures"] == ["every run diverged, so nothing is measured"]

@@ -108,9 +108,9 @@ synth command, controller record, designer                     3192    606    15
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
-log re-verification                                             846    579     42
+log re-verification                                             846    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2170   1138     48
+recordings: MCAP, Foxglove, Rerun                              2169   1138     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
 page and figures                                               4134   1352     68
@@ -124,7 +124,7 @@ gallery of papers                                               765    335     4
 margins in physics                                             2458    872     68
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1869    554     37
+frequency, sweep                                               1868    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2163   1106      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
@@ -141,7 +141,7 @@ linear responses                                               1040    370      
 runs, verdict, their text                                      2982    888     51
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1012    958    357
+commands that drive                                            1010    961    361
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md

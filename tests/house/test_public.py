@@ -99,7 +99,7 @@ def test_what_is_shown(paper, designer):
         paper: ("quarter_car", "sprung_mass", "controllers: passive"),
         controller: ("controller I: designed", "sprung_velocity", "norm: 7.843188", "bound: 7.87"),
         controller.certificate: ("certificate: holds", "norm: 7.843188"),
-        run: ("run of I: agrees; linear analysis applies throughout; energy balances", "height 0.05", "1 s at 0.001 s"),
+        run: ("run of I: MuJoCo agrees with the model; linear analysis applies over", "height 0.05", "1 s at 0.001 s"),
     }
     for one, parts in said.items():
         assert all(part in repr(one) for part in parts)
@@ -133,8 +133,8 @@ def test_runs_by_name(tmp_path):
     assert sky.passed
     car = models.read_vehicle("full_car")
     for given, said in (
-        (designed.controller, "'I' measures 'suspension_deflection', so it belongs to another vehicle"),
-        (vehicle.controllers["mine"], "'mine' is an entry of another vehicle"),
+        (designed.controller, "'I' measures 'suspension_deflection' and belongs to another vehicle"),
+        (vehicle.controllers["mine"], "'mine' belongs to another vehicle"),
         ("mine", "unknown controller 'mine'"),
     ):
         with pytest.raises(models.InputError, match=said):

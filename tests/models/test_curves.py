@@ -404,7 +404,7 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     vehicle = read_vehicle(tmp_path / "mine.toml")
     (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
-    assert f"first leaves its linearisation by 10 % of its largest force at {when:.4g} s" in said
+    assert f"first differs from its line by 10 % of its largest force at {when:.4g} s" in said
     assert f"suspension_damping differs from its linearisation by up to {100 * share:.2g} % of its largest force" in said
     assert inspect([str(log)]) == 0
     assert "the log still proves what it claims" in capsys.readouterr().out
@@ -455,7 +455,8 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (slope of the whole curve: 666.7 to 1750)."
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
-    assert at_rest_words(rough) == "MuJoCo has lines in place of the curve of suspension damping, which bends at rest"
+    said = "Here, MuJoCo has straight lines instead of the curves of suspension damping, which have a kink at equilibrium"
+    assert at_rest_words(rough) == said
     controller = [design(rough, "I")]
     off, near = (
         float(one.error(one.sampled).max())

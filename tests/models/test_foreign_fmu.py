@@ -97,7 +97,7 @@ def test_it_drives_as_its_law_does(version, tmp_path):
     for name in ("sprung_acceleration", "tyre_deflection", "control_force"):
         scale = ours.physics.scale(name)
         assert abs(ours.physics[name] - theirs.physics[name]).max() < 1e-9 * scale  # rounding of another order of summation
-    assert claims(theirs.controller) == "no linear claim (an FMU)"
+    assert claims(theirs.controller) == "linear analysis does not apply (an FMU)"
     later = parse_vehicle(vehicle.text.replace("delay = 1", "delay = 2.4"), folder=tmp_path)  # 1.4 samples are around the FMU
     ours, theirs = run(later, ["law", "theirs"], Bump(height=0.06), duration=0.5)
     assert abs(ours.physics["control_force"] - theirs.physics["control_force"]).max() < 1e-9 * 500

@@ -94,7 +94,9 @@ def by_hand(p, gain, most, rate, order):
     return np.transpose(samples)
 
 
-@pytest.mark.parametrize(("order", "says"), [("force", "gives its largest force"), ("command", "is limited before the lag")])
+@pytest.mark.parametrize(
+    ("order", "says"), [("force", "reaches its largest force"), ("command", "is limited before the actuator's lag")]
+)
 def test_a_limit_acts_behind_the_lag_or_before(order, says):
     """`limit` chooses whether the force behind the lag is limited or its command, as in the car that is written out by hand.
 

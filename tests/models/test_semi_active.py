@@ -106,7 +106,7 @@ def test_runs_agree(kind, road):
     drivers = [vehicle.controllers[f"law_{name}"].driver() for name in names]
     for run in run_controllers(vehicle, drivers, over, sample_times(vehicle, 0.5, 1e-3)):
         check_physics(run)
-        assert verdict(run).text.startswith("agrees; no linear reference")
+        assert verdict(run).text.startswith("MuJoCo agrees with the model; no linear analysis")
 
 
 @pytest.mark.attack

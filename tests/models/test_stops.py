@@ -141,7 +141,7 @@ def test_a_side_that_is_left_out_has_no_stop():
     run, made, lines = driven(parse_vehicle(CAR % "{ rebound = 0.06 }"))
     assert lines.startswith("stops: rebound ")
     assert "(rebound stop)" in verdict(run).text
-    assert reasons(run)[1].text.startswith("rebound stop: a suspension is first at the end of its stroke at ")
+    assert reasons(run)[1].text.startswith("rebound stop: a suspension first reaches the end of its stroke at ")
     assert "bump" not in made["stops"]["suspension_deflection"]
 
 
@@ -232,6 +232,6 @@ def test_a_log_proves_its_stops(tmp_path, capsys):
     file = tmp_path / "car.toml"
     file.write_text(read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
     assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), "-v"]) == 0
-    assert "bump stop: a suspension is first at the end of its stroke at" in prose(capsys.readouterr().out)
+    assert "bump stop: a suspension first reaches the end of its stroke at" in prose(capsys.readouterr().out)
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log)]) == 0

@@ -196,7 +196,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
     limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
-    said = rf"{name}.* is nearest to {limits}, and exceeds peak_travel by \S+ m \(.* %\).*None of 12 is within"
+    said = rf"No candidate of 12 keeps {limits}. .*{name}.* is nearest; it exceeds peak_travel by \S+ m \(.* %\)"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
 
@@ -212,10 +212,10 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     options += ["--picture", str(tmp_path / "tuned.png")]
     assert main([str(tmp_path / "campaign.toml"), *options]) == 1
     out, complaint = capsys.readouterr()
-    assert "no run of the campaign has both ride and tyre load; there is nothing to draw" in prose(complaint)
+    assert "no picture is drawn, because no run of the campaign has both ride and tyre load" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
-    assert "There is no ride to compare: a run of every controller broke off." in out
-    assert "None of 2 has ride for all runs, because some broke off." in prose(out)
+    assert "No controller can be compared, because each has a run that broke off." in out
+    assert "all 2 candidates have runs that broke off, without ride." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 
@@ -230,8 +230,8 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
     for _ in range(2):  # it replaces what it wrote
         assert main([str(folder / "campaign.toml"), *options]) == 0
     out = prose(capsys.readouterr().out)
-    assert "passive has the best force_peak: force_peak 0. There are 12 candidates." in out
-    assert "variants that are not best at anything are omitted" in out
+    assert "passive has the best force_peak: force_peak 0. 12 were compared." in out
+    assert "variants that are best in no column are omitted" in out
     lines = (folder / "saved.toml").read_text().splitlines()
     added = lines[len(CAR.rstrip().splitlines()) + 1 :]
     assert len(added) == 4
@@ -243,21 +243,21 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
     """`--verify` draws the same laws again, and finds every row and its run."""
     folder, _ = campaign
     assert main(["--verify", str(folder / "campaign-results"), "--runs", "8"]) == 0
-    assert "8 runs, selected with seed 0, were repeated with the same numbers" in prose(capsys.readouterr().out)
+    assert "8 runs, chosen with seed 0, were repeated and gave the same numbers" in prose(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--best", "colour"], "--best colour: vehicle 'car.toml' has no such metric; it has"),
-        (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
-        (["--best", "ride", "--subject-to", "travel:0.08"], "--subject-to travel: vehicle 'car.toml' has no such metric; it has"),
+        (["--best", "colour"], "--best colour: vehicle 'car.toml' has no metric colour; it has"),
+        (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no metric at_stops; it has control_energy"),
+        (["--best", "ride", "--subject-to", "travel:0.08"], "--subject-to travel: vehicle 'car.toml' has no metric travel; it"),
         (["--best", "ride", "--subject-to", "peak_travel:nan"], "--subject-to peak_travel = 'nan' is not a finite number"),
         (["--best", "ride", "--subject-to", "peak_travel:1 kg"], "kg"),
         (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
-        (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride has two limits; give the smaller one"),
-        (["--subject-to", "ride:1"], "--subject-to is for the choice of --best"),
-        (["--save", "x.toml"], "--save is for the choice of --best"),
+        (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride already has a limit; give only the"),
+        (["--subject-to", "ride:1"], "--subject-to needs --best"),
+        (["--save", "x.toml"], "--save needs --best"),
         (["--best", "ride", "--save", "car.toml"], "--save car.toml is an input file; give another file"),
         (["--best", "ride", "--save", "x.txt"], "a vehicle file is TOML"),
     ],
@@ -272,23 +272,23 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
     [
         (
             "[samples.controllers.hybrid]\ncolour = { uniform = [0, 1] }",
-            "has no 'colour' to be drawn; it has ground_damping, mix, sky_damping",
+            "'colour' cannot be sampled; sample one of ground_damping, mix, sky_damping",
         ),
         ("[samples.controllers.hybrid]\nmix = { uniform = [0, 2] }", "mix = 2.0 is not allowed; give a number from 0 to 1"),
         (
             "[samples.controllers.hybrid]\nmix = { uniform = [0, 2], relative = true }",
-            "vehicle 'car.toml': gives no mix, and the distribution is relative",
+            "vehicle 'car.toml': the file gives no mix, so its distribution cannot be relative",
         ),
-        ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] draws nothing; give keys of its law"),
-        ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "has no 'gain[0][1]' to be drawn; it has gain[0][0]"),
-        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no values in the vehicle file"),
+        ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] samples nothing; give a key of the law"),
+        ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "'gain[0][1]' cannot be sampled; sample one of gain"),
+        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no numbers in the vehicle file"),
         (
             '[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "controller 'I' has no values in the vehicle file to be sampled",
+            "controller 'I' has no numbers in the vehicle file to sample",
         ),
-        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no values in the vehicle file"),
-        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no values in the vehicle file"),
-        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "'add' is not a controller of the campaign"),
+        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no numbers in the vehicle file"),
+        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers in the vehicle file"),
+        ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "the campaign has no controller 'add'"),
     ],
 )
 def test_bad_keys(tmp_path, monkeypatch, drawn, said):
@@ -301,13 +301,13 @@ def test_what_cannot_be_saved_is_refused_before_the_runs(tmp_path, monkeypatch):
     """A name that is taken, or a campaign of several vehicles, leaves nothing to be written: one line, and nothing is run."""
     save = ["--best", "ride", "--save", "tuned.toml"]
     taken = CAR + '[controllers.hybrid_tuned]\nsemi_active = "add"\n'
-    check_refused(tmp_path, monkeypatch, FILE, save, "has a controller 'hybrid_tuned' already", taken)
+    check_refused(tmp_path, monkeypatch, FILE, save, "already has a controller 'hybrid_tuned'", taken)
     laws = ['skyhook = { semi_active = "skyhook" }', 'hybrid = { semi_active = "hybrid" }']
     laws.append('sky = { measured = ["sprung_velocity"], gain = [[-1e3]] }')
     inline = f"controllers = {{ {', '.join(laws)} }}\n{CAR.partition('[controllers')[0]}"
     check_refused(tmp_path, monkeypatch, FILE, save, "write each one as [controllers.NAME]", inline)
     both = FILE.replace('["car.toml"]', '["car.toml", "quarter_car_semi_active"]')
-    check_refused(tmp_path, monkeypatch, both, save, "--save writes one vehicle file, but the campaign has 2")
+    check_refused(tmp_path, monkeypatch, both, save, "--save needs a campaign with one vehicle, not 2")
 
 
 def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):

@@ -264,7 +264,7 @@ def test_summary(begun, small, capsys):
         of = {name: [row for row in small[0] if (row["vehicle"], row["controller"]) == (car, name)] for name in ("passive", "I")}
         left = {name: sum(row["ended_by"] is not None for row in some) for name, some in of.items()}
         order = sorted(of, key=lambda name: left[name] / len(of[name]))
-        told = ", ".join(f"{left[name]} of {len(of[name])} of {name}" for name in order if left[name])
+        told = ", ".join(f"{left[name]} of {len(of[name])} with {name}" for name in order if left[name])
         assert f"{car}: Runs that left the linear regime: {told or 'none'}." in prose(short)
 
 
@@ -379,7 +379,7 @@ def test_interrupted(tmp_path):
     (tmp_path / "campaign.toml").write_text(QUICK.replace("seeds = 60", "seeds = 20000"))
     code, out, err = killed(tmp_path, 0.0, signal.SIGINT, "part-*")
     assert (code, out) == (130, "")
-    assert re.fullmatch(r"roadproof: interrupted: \d+ of 80004 runs are kept; start it again to go on\n", err)
+    assert re.fullmatch(r"roadproof: interrupted: \d+ of 80004 runs are kept; repeat the command to continue\n", err)
     assert not list((tmp_path / "results").glob(".*part*"))
 
 
@@ -412,7 +412,7 @@ def test_another_campaign_is_left_alone(tmp_path):
     """A results folder that holds another campaign, other versions, other files or a running one is refused and not touched."""
     text = QUICK.replace("seeds = 60", "seeds = 1")
     rows, _ = run(tmp_path, text)
-    with pytest.raises(InputError, match="contains another campaign"):
+    with pytest.raises(InputError, match="contains the results of another campaign"):
         run(tmp_path, text.replace("10.0", "11.0"))
     manifest = read_manifest(tmp_path / "results")
     assert manifest is not None
@@ -424,9 +424,11 @@ def test_another_campaign_is_left_alone(tmp_path):
         run(tmp_path, text)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").touch()
-    with pytest.raises(InputError, match=r"contains no campaign, but cat\.png"):
+    with pytest.raises(InputError, match=r"contains no campaign, but other files such as cat\.png"):
         run(tmp_path, text, results="photos")
-    with pytest.raises(InputError, match=r"contains no campaign, but cat\.png; give a folder of a finished campaign's results$"):
+    with pytest.raises(
+        InputError, match=r"contains no campaign, but other files such as cat\.png; give the folder with the resul"
+    ):
         main(["--verify", str(tmp_path / "photos")])
     assert run(tmp_path, text)[0] == rows
 
@@ -438,43 +440,43 @@ DAMPED = {"vehicles": '["both.toml"]', "controllers": '["passive"]'}
 # (changes to the keys of a file that is fine, text after them, what is said)
 BAD_FILES = [
     ({"vehicles": "[]"}, "", "vehicles = [] is not allowed; give"),
-    ({"roads": None}, "", "'roads' is missing, so there are no runs; give a list"),
+    ({"roads": None}, "", "the key 'roads' is missing, so the campaign has no runs; give a list"),
     ({"speeds": "10.0"}, "", "speeds = 10.0 is not allowed; give"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
-    ({"speeds": "[10, 10.0]"}, "", "speeds: 10 and 10.0 are the same; list each once"),
-    ({"vehicles": f'["quarter_car", "{(ROOT / "models" / "quarter_car.toml").as_posix()}"]'}, "", "are the same; list each once"),
-    ({"roads": '["bump", "bump:height=0.1"]'}, "", "roads: 'bump' and 'bump:height=0.1' are the same; list each once"),
+    ({"speeds": "[10, 10.0]"}, "", "speeds: 10 and 10.0 are the same; list only one of them"),
+    ({"vehicles": f'["quarter_car", "{(ROOT / "models" / "quarter_car.toml").as_posix()}"]'}, "", "are the same; list only one"),
+    ({"roads": '["bump", "bump:height=0.1"]'}, "", "roads: 'bump' and 'bump:height=0.1' are the same; list only one of them"),
     ({"controllers": "[1]"}, "", "controllers[0] = 1 is not allowed; give"),
     ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
     ({"speeds": '["fast"]'}, "", "speeds = 'fast' is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 is not allowed; give an integer from 1 to"),
     ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give an integer"),
-    ({"seeds": "[1, 1]"}, "", "seeds: 1 and 1 are the same; list each once"),
+    ({"seeds": "[1, 1]"}, "", "seeds: 1 and 1 are the same; list only one of them"),
     ({"seeds": "20000000"}, "", "or a list of seeds"),
     ({"duration": "0.0"}, "", "duration"),
-    ({"settle": "8.0"}, "", "settle = 8 s leaves too little"),
+    ({"settle": "8.0"}, "", "settle = 8 s is too long for runs of 10 s"),
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
     ({"speed": "20"}, "", "unknown key 'speed'"),
     ({}, "[samples]\ncount = 0\n", "count = 0 is not allowed; give an integer from 1 to"),
     ({}, "[samples]\nmethod = 'sobol'\n", "[samples] count = None is not allowed; give an integer"),
-    ({}, "[samples]\ncount = 4\n", "samples no parameters"),
+    ({}, "[samples]\ncount = 4\n", "lists nothing to sample"),
     ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
-    ({}, SAMPLED + "colour = { uniform = [1, 2] }", "has no 'colour' to be drawn; it has sprung_mass"),
+    ({}, SAMPLED + "colour = { uniform = [1, 2] }", "'colour' cannot be sampled; sample one of sprung_mass"),
     ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is not a distribution"),
     ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "is not a distribution; give sprung_mass = { uniform = [low, high] } or"),
-    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "spreads nothing"),
+    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "has no width"),
     (
         {},
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",
-        "vehicle 'quarter_car': the distribution reaches a value that is not allowed: sprung_mass = -10",
+        "vehicle 'quarter_car': the distribution of sprung_mass contains a value that is not allowed: sprung_mass = -10",
     ),
     ({}, SAMPLED + "sprung_mass = { uniform = ['400 kg', '500 kg'], relative = true }", "and a pure number is expected"),
     (
         {},
         SAMPLED + "tyre_stiffness = { uniform = [1e3, 2e5] }",
-        "a sample of vehicle 'quarter_car' is not allowed: tyre_deflection at rest",
+        "vehicle 'quarter_car': sampled values do not fit together: tyre_deflection at rest",
     ),
     # A key that dampers do not share, or cannot be
     (DAMPED, SAMPLED + "c_max = { uniform = [0.5, 1.0], relative = true }", "c_max_front, c_max_rear"),
@@ -498,7 +500,7 @@ def test_bad_files(tmp_path, monkeypatch, capsys, changes, after, said):
 
 @pytest.mark.parametrize(
     ("address", "words"),
-    [("nowhere.invalid:1", "there is no answer"), ("127.0.0.1:1", "there is no answer"), ("head", "is not an address")],
+    [("nowhere.invalid:1", "does not answer"), ("127.0.0.1:1", "does not answer"), ("head", "this is not an address")],
 )
 def test_a_cluster_that_is_not_there_is_said_at_once(tmp_path, address, words):
     """One line, before anything is written, and nothing is waited for."""

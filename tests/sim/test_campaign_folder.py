@@ -86,15 +86,15 @@ def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage
     named = json.loads(printed.out)["damaged"]
     assert len(named) == 1
     assert printed.err == f"roadproof: {named[0]}\n"
-    assert "run again" in named[0]
+    assert "simulated again" in named[0]
 
 
 def test_verify(whole, capsys):
     """A finished folder holds: rows, inputs, and a sample of runs, driven again with the same numbers; in words and in JSON."""
     assert main(["--verify", str(whole[0]), "--runs", "3", "--seed", "5"]) == 0
     out = prose(capsys.readouterr().out)
-    assert f"each of {RUNS} runs has one row" in out
-    assert "3 runs, selected with seed 5" in out
+    assert f"each of the {RUNS} runs has one row" in out
+    assert "3 runs, chosen with seed 5" in out
     assert out.endswith("the results agree with the campaign")
     result = answer(capsys, main, "--verify", str(whole[0]), "--runs", "3", "--seed", "5")
     assert (result["holds"], len(result["again"]), result["rows"], result["faults"]) == (True, 3, RUNS, [])
@@ -110,9 +110,9 @@ def test_verify_a_copied_folder(tmp_path, monkeypatch, capsys):
     assert main(["campaign.toml", "--results", "s3:0:1"]) == 0
     arguments = ["--verify", "s3:0:1", "--runs", "1"]
     capsys.readouterr()
-    for said in ("has changed", "does not exist any more"):
+    for said in ("has changed", "no longer exists"):
         (tmp_path / "campaign.toml").write_text("speeds = []")
-        if "any more" in said:
+        if "longer" in said:
             (tmp_path / "campaign.toml").unlink()
         assert main(arguments) == 0
         assert said in prose(capsys.readouterr().out)
@@ -142,8 +142,8 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
     dataclasses.replace(manifest, controllers=gains).write(tmp_path / "results")
     assert main(["--verify", str(tmp_path / "results"), "--runs", "4"]) == 1
     out = capsys.readouterr().out
-    said = {"number": "when driven again", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
-    said |= {"gain": "the gains in the results are not those in plan.json", "no table": "results.parquet: "}
+    said = {"number": "in the repeated run", "inputs": "run 7: speed is 30.0", "rows": f"{RUNS - 1} rows for {RUNS} runs"}
+    said |= {"gain": "the gains in the results differ from the gains in plan.json", "no table": "results.parquet: "}
     assert said[forgery] in prose(out)
     assert out.endswith("the results DO NOT AGREE with the campaign\n")
 
@@ -151,11 +151,11 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "no campaign was named"),
-        (["--verify", "{begun}"], "runs are not there yet"),
-        (["--verify", "{empty}"], "there is no campaign"),
-        (["--verify", "{whole}", "--workers", "2"], "--workers is for running a campaign, and --verify checks one"),
-        (["campaign.toml", "--seed", "1"], "--seed is for --verify"),
+        ([], "the campaign file is missing"),
+        (["--verify", "{begun}"], "runs are not finished"),
+        (["--verify", "{empty}"], "this folder contains no campaign"),
+        (["--verify", "{whole}", "--workers", "2"], "--workers cannot be combined with --verify"),
+        (["campaign.toml", "--seed", "1"], "--seed needs --verify"),
         (["campaign.toml", "--workers", "0"], "from 1 to 1024"),
         (["campaign.toml", "--batch", "0"], "from 1 to 256"),
         (["campaign.toml", "--results", ""], "--results: is empty"),
@@ -177,7 +177,7 @@ def test_verify_changes_nothing(whole, begun, tmp_path):
     """--verify, which holds no folder, changes none: parts stay that a campaign, perhaps at work there, has to judge."""
     cut(again(begun, tmp_path))
     before = contents(tmp_path / "results")
-    with pytest.raises(InputError, match=f"of {RUNS} runs are not there yet"):
+    with pytest.raises(InputError, match=f"of {RUNS} runs are not finished"):
         main(["--verify", str(tmp_path / "results"), str(begun.parent / "campaign.toml")])
     assert contents(tmp_path / "results") == before
     for path in whole[0].iterdir():  # a finished folder with parts that its campaign is about to remove
@@ -224,7 +224,7 @@ def test_folders_of_an_earlier_version(whole, begun, tmp_path, capsys):
     (tmp_path / "campaign.toml").write_text(QUICK)
     assert answer(capsys, main, str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "whole"))["new"] == 0
     assert main(["--verify", str(tmp_path / "whole"), "--runs", "1"]) == 0
-    with refused(match="was started by Roadproof 0.1; finish it with that version"):
+    with refused(match="was started by Roadproof 0.1; finish it with Roadproof 0.1"):
         main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "begun")])
 
 

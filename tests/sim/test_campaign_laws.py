@@ -92,7 +92,7 @@ def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
             assert {row[name] for name in row if name in compared or name.startswith(("linear_", "expected_"))} == {None}
         assert linear["linear_error"] is not None
     for name in ("mine", "many"):
-        assert f"{name} is a law in Python, {name}.py:step: linear analysis does not apply" in said
+        assert f"{name} is a law in Python, {name}.py:step. Linear analysis does not apply" in said
     for entry in answer(capsys, main, str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"))["summary"]:
         own = entry["controller"] != "linear"
         assert own == ("failed" in entry) == (entry["ride"]["predicted"] is None)
@@ -163,7 +163,7 @@ def test_the_same_whatever_runs_it(tmp_path, capsys):
             )
             assert why in entry["first_failure"]
             assert entry["broke_off"] == 0
-            assert f"{entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}" in prose(said)
+            assert f"{entry['failed']} of {entry['runs']} runs failed. The first error: {entry['first_failure']}" in prose(said)
 
 
 @pytest.mark.attack
@@ -179,7 +179,7 @@ def test_a_law_goes_on_as_it_was(tmp_path, capsys):
 
     (tmp_path / "mine.py").write_text(PLAIN.format("") + "#", encoding="utf-8")
     for arguments in ([str(file), "--results", str(results)], ["--verify", str(results)]):
-        with pytest.raises(InputError, match=r"controller 'mine': its law mine.py:step has changed since the campaign began"):
+        with pytest.raises(InputError, match=r"controller 'mine': mine.py:step has changed since the campaign began"):
             main(arguments)
 
 

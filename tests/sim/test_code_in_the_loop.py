@@ -120,7 +120,7 @@ def test_code_of_another_law_does_not_agree(numbers):
     code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
     (run,) = run_controllers(vehicle, [dataclasses.replace(law, code=code)], on.road, on.time)
     assert not run.passed
-    assert "DOES NOT AGREE: the code moves" in prose(" ".join([one.text for one in reasons(run)]))
+    assert "DOES NOT AGREE: exported code changes" in prose(" ".join([one.text for one in reasons(run)]))
 
 
 @needs_cc
@@ -128,7 +128,7 @@ def test_geometry_and_ranges_have_their_words():
     """A half-car with code in int16 agrees, and the cause of its distance from linear analysis is named; so is clipping."""
     vehicle, time = read_vehicle("half_car"), sample_times(read_vehicle("half_car"), 1.0, STEP)
     law = given(vehicle, "I")
-    for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "leaves its range on this road and is clipped")):
+    for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "exceeds its range on this road, and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
         assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *(one.text for one in reasons(run))]))
@@ -157,8 +157,9 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert bump([*options, "--no-logs"]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 24
-    assert f"compiled code in {numbers} drives it; control_force differs from that of the law by" in prose(out)
-    assert "law: agrees; linear analysis applies throughout" in prose(out)
+    said = f"the controller runs as compiled code in {numbers}; control_force differs from that of the control law by"
+    assert said in prose(out)
+    assert "law: MuJoCo agrees with the model; linear analysis applies over the whole run" in prose(out)
     assert bump([*options, "--logs", str(tmp_path), "--json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert run["controller"]["code"]["numbers"] == numbers
@@ -196,9 +197,9 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
         assert ours["controller"] == code["controller"]
         assert code["ride"]["rms"] == pytest.approx(ours["ride"]["rms"], rel=1e-9)  # orders of summation
     assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
-    assert "compiled code drives law in double" in capsys.readouterr().out
+    assert "controllers that run as compiled code: law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
-    with pytest.raises(InputError, match="the campaign was started without this code"):
+    with pytest.raises(InputError, match="this campaign was started without this code"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
 
 
@@ -275,4 +276,4 @@ def test_a_sweep_is_driven_by_quantised_code(numbers, code, tmp_path, capsys):
     assert sweep(["--controller", "I", "--timestep", "4e-3", "--as", str(tmp_path / "ecu"), "--json"]) == code
     (found,) = json.loads(capsys.readouterr().out)["sweeps"]
     said = "; ".join(found["failures"])
-    assert ("this omits rounding to int16" in said) == (numbers == "int16")
+    assert ("linear analysis omits rounding to int16" in said) == (numbers == "int16")

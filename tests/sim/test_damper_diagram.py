@@ -93,5 +93,5 @@ def test_a_report_has_it_where_there_is_something_to_draw(tmp_path):
     assert (tmp_path / "figures" / "suspension.png").stat().st_size > 10_000
     page = (tmp_path / "report.html").read_text()
     words = " ".join(unescape(page).split())
-    assert "curve: a damper or spring first leaves its linearisation by 10 % of its largest force at" in words
+    assert "curve: a damper or spring first differs from its line by 10 % of its largest force at" in words
     assert "Forces over the paper's bump. Lines: characteristics or limits, and their linearisation." in words

@@ -267,7 +267,7 @@ def test_edges_along_the_height(capsys, tmp_path, paper, designer, cells):
     printed = prose(capsys.readouterr().out)
     assert "First limit along the height, with a length of 5 m and a speed of 12.5 m/s" in printed
     assert "lift-off 0.5 0.4544 0.4526 to 0.4563" in printed  # cell, predicted, MuJoCo
-    travel = re.search(r"a suspension moves up to (\d+) mm; the file has no bump stops", printed)
+    travel = re.search(r"travel reaches (\d+) mm; the vehicle file has no bump stops", printed)
     assert travel is not None
     (run,) = run_controllers(paper, [designer.design("I")], Bump(0.4, 5.0, 12.5), TIME)
     assert float(travel[1]) == pytest.approx(1e3 * run.physics.peak("suspension_deflection"), abs=0.5)  # of a rounded millimetre
@@ -339,7 +339,7 @@ def test_picture_is_the_cells(limited, designer):
         (label,) = [text for text, its in legend.items() if its == color]
         assert label.startswith("no limit" if first < 0 else f"{END_NAMES[first]} first")
     assert "force saturation first (at ±1400 N)" in legend
-    assert "Markers: MuJoCo in 10 of 60 cells, 100.0 % as predicted" in figure.title
+    assert "Markers show MuJoCo in 10 of 60 cells, 100.0 % of them as predicted" in figure.title
     # The line lies where the linear share is one: at the height that the column's own linear run says.
     (line,) = [curve for curve in panel.curves if curve.label == "predicted limit"]
     for speed in ground.x[1:-1]:
@@ -358,7 +358,7 @@ def test_picture_is_the_cells(limited, designer):
     ("refused", "allowed", "words"),
     [
         ("speed:12:834:2", "speed:12:833:2", "less than two timesteps"),  # 5 m in 6 ms, two timesteps of 3 ms
-        ("speed:1.66:12:2", "speed:1.67:12:2", "more than the run of 3 s"),  # 5 m in 3 s
+        ("speed:1.66:12:2", "speed:1.67:12:2", "but a run lasts only 3 s"),  # 5 m in 3 s
     ],
 )
 def test_bumps_fit_the_run(refused, allowed, words):

@@ -59,10 +59,10 @@ def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
     ("asked", "words"),
     [
         (["mass:0.8:1.2"], "'mass' is not a parameter"),
-        (["sprung_mass:0.8:x"], "not name:low:high"),
+        (["sprung_mass:0.8:x"], "form NAME:LOW:HIGH"),
         (["sprung_mass:1.1:1.2"], "give one above 0 and at most 1"),
         (["sprung_mass:0.8:1.2"] * 2, "sprung_mass is varied twice"),
-        (["sprung_mass:0.8:inf"], "give finite multiples above 0"),
+        (["sprung_mass:0.8:inf"], "give finite factors above 0"),
         (["sprung_mass:1:1"], "give one above 0 and at most 1"),
         (["sprung_mass:0.8:1e12"], "--vary reaches|sprung mass varies"),
     ],
@@ -118,9 +118,9 @@ def test_a_terminal_shows_all_margins(capsys):
 @pytest.mark.parametrize(
     ("gain", "damping", "word"),
     [
-        (0.0, 400, "no gain"),
-        (90000.0, 400, r"not stable as it is \(unstable: a pole at 170.7 1/s\)"),
-        (-100.0, 0, r"not stable as it is \(marginal: a pole at 0\+"),
+        (0.0, 400, "requests no force"),
+        (90000.0, 400, r"its ideal loop is not stable \(unstable: a pole at 170.7 1/s\)"),
+        (-100.0, 0, r"its ideal loop is not stable \(marginal: a pole at 0\+"),
     ],
 )
 def test_loops_without_margins(tmp_path, paper, gain, damping, word):

@@ -95,7 +95,7 @@ def test_each_vehicle_has_the_controllers_of_its_file(files, capsys):
     for names, words in ((["sky"], "does not have any of the"), (["firm", "--vehicle", files["both"]], "given twice")):
         with refused(words):
             bump.main([*pair, *options, *names])
-    with refused("--as drives one vehicle"):
+    with refused("--as needs one vehicle"):
         bump.main([*pair, "--as", "folder", *options, "firm"])
 
 
@@ -130,7 +130,7 @@ def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
     assert [one.get("without") for one in result["runs"]] == [None, None, "noise", "lag"]
     assert inspect([result["logs"]["mcap"]]) == 0
     capsys.readouterr()
-    with refused("no vehicle file contains it"):
+    with refused("no vehicle file has this part"):
         drive.main(["--controller", "I", "--without", "noise"])
 
 

@@ -21,7 +21,7 @@ def test_passive_comes_first(capsys):
     assert best(standings) == result["compared"]["best"]
     for one, run in zip(compared[1:], result["runs"], strict=True):
         assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]
-    assert printed.splitlines()[-1].startswith("I, II_printed: agrees; ")
+    assert printed.splitlines()[-2].startswith("I, II_printed: MuJoCo agrees with the model; ")
     with refused("--json", "--brief"):
         bump.main([*RUN, "--brief", "--json"])
 
@@ -43,7 +43,8 @@ def test_a_table():
         "  I             0.410* -22 49.6* -33 0.371  +3  0.270    211   1228     0*",
         "  a_longer_name     -    -    -    -     -   -      -      -      -     -",
         "  II            0.410* -22 73.5    - 0.360   0      0*   100*   629*    0*",
-        "  Worst point in MuJoCo, from 6 s on. *: best; %: change from passive.",
+        "  Worst point of the vehicle in MuJoCo, from 6 s on. *: best; %: change from",
+        "  passive.",
     ]
 
 

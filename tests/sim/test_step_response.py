@@ -289,6 +289,6 @@ def test_command(capsys):
     for name in ("suspension_deflection", "tyre_deflection", "sprung_acceleration", "control_force"):
         assert one["signals"][name]["final"] == 0.0
         assert f"{one['signals'][name]['continuous']['peak']:.5g}" in printed
-    for road, band, said in (("bump", "5", "applies to the response to a step only"), ("step", "200", "200 % is not allowed")):
+    for road, band, said in (("bump", "5", "applies only to the response to a step"), ("step", "200", "200 % is not allowed")):
         with pytest.raises(InputError, match=f"--band {said}"):
             main(["--controller", "I", "--road", road, "--band", band])

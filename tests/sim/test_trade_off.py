@@ -100,7 +100,7 @@ def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(dr
     figure = trade_off(Plan(several, nothing), entries, {name: best for name in cars})
     assert figure is not None
     assert figure.finding == "one: `I` rides and holds the road best; two: `I` rides and holds the road best"
-    assert "no run has both numbers: sky, one; sky, two." in figure.title
+    assert "Controllers without both numbers are not drawn: sky, one; sky, two." in figure.title
 
 
 def test_the_line_is_of_cars_with_those_dampers(drawn):

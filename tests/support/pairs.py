@@ -181,11 +181,11 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "semi-active dampers with characteristics cannot be exported",
     "is not stable at a timestep of",
     "unknown controller 'passive'; give --controller with one of",
-    "has no gain, so there is no loop",
+    "requests no force, so there is no loop",
     "cannot be stabilised with these measurements",
     "semi-active dampers and force actuators cannot be exported together",
     "has noise without sample_period",
-    "makes a loop that has no frequency response",
+    "has no frequency response, because its motion does not decay",
     "has an entry beyond 1e+15",
     "has an entry that is not finite",
 )

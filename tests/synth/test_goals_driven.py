@@ -49,7 +49,7 @@ def test_said_by(vehicles, capsys, main, options):
     code, out, (line,) = said["broken"]
     assert (code, out) == said["kept"][:2]
     assert line.startswith(SAID)
-    assert line.endswith("at most 7 is allowed; and 1 more): it is used unchanged; see python -m synth")
+    assert line.endswith("at most 7 is allowed, and 1 more); it is used all the same; python -m synth explains this")
 
 
 def test_said_by_a_campaign(vehicles, tmp_path, capsys):
@@ -100,7 +100,7 @@ def test_a_log_claims_nothing_of_goals(vehicles, tmp_path, capsys):
     capsys.readouterr()
     assert inspect([str(log), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert printed.count("goals note: the log makes no claim about its goals in vehicle.toml (bounds); python -m synth") == 1
+    assert printed.count("goals note: the log does not prove the controller's goals in vehicle.toml (bounds); check") == 1
     assert printed.endswith("the log still proves what it claims; it makes no claim about goals")
     assert inspect([str(log), "--json"]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]

@@ -88,7 +88,7 @@ def test_a_controller_that_is_left_out_is_named(corner, capsys):
     assert [one["controller"]["name"] for one in result["runs"]] == ["passive"]
     assert result["left_out"] == ["loop"]
     (line,) = printed.err.splitlines()
-    assert line.startswith("roadproof: controller 'loop' is left out: ")
+    assert line.startswith("roadproof: controller 'loop' is not simulated: ")
     assert synth(arguments) == 1
     out = prose(capsys.readouterr().out)
     assert "loop NOT DESIGNED: " in out
@@ -110,7 +110,7 @@ def test_every_command_leaves_out_such_a_controller(command, options, corner, tm
     assert main_of(command)(["--vehicle", corner(NO_LOOP), *names, *options, "--timestep", "5e-3", "--json"]) == 1
     printed = capsys.readouterr()
     assert json.loads(printed.out)["left_out"] == ["loop"]
-    assert "controller 'loop' is left out: " in printed.err
+    assert "controller 'loop' is not simulated: " in printed.err
 
 
 def test_a_section_that_cannot_be_read_is_bad_input(corner):
@@ -200,7 +200,8 @@ def test_an_overflow_is_not_blamed_on_the_physics():
     (run,) = run_controllers(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 0.6, 1e-3))
     assert run.physics.ran_away
     assert run.passed
-    assert verdict(run).text == f"agrees; no linear reference; energy balances; law overflow at {run.diverged:.4g} s"
+    said = f"no linear analysis; energy balances; law overflow at {run.diverged:.4g} s"
+    assert verdict(run).text == f"MuJoCo agrees with the model; {said}"
     assert run.energy is not None
     steps = run.agreement.steps
     assert steps is not None

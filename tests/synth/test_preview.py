@@ -296,7 +296,7 @@ def changed(preview: Mapping[str, Any], **parts: Any) -> str:
     ("forged", "said"),
     [
         ({"C": 1.001}, "of its peak"),
-        ({"seconds": 0.5}, "it knows 0.5 s of the road, and vehicle.toml gives it 0.3 s"),
+        ({"seconds": 0.5}, "the logged preview is 0.5 s, but the preview in vehicle.toml is 0.3 s"),
         ({"B": "none"}, "B has shape (); expected a matrix"),
     ],
 )

@@ -112,7 +112,7 @@ def test_every_command_calls_it_marginal(paper, tmp_path, capsys):
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log), "-v"]) == 0
     out = prose(capsys.readouterr().out)
-    assert "certificate: marginal: a pole at 0+65.4j rad/s does not decay (within rounding); as was claimed" in out
+    assert "certificate: marginal: a pole at 0+65.4j rad/s does not decay (within rounding); the log claims the same" in out
     drive(
         ["--vehicle", undamped, "--controller", "passive", "--class", "A", "--speed", "10", "--duration", "3", "--no-logs", "-v"]
     )

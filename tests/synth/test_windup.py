@@ -122,7 +122,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     found = run_metrics.measure_run(run, first=100)
     metrics = text_lines(run_metrics.describe(run, found, 0.1, 0.6, ()), "full")
     text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metrics])
-    assert f"law overflow: the states of the law overflow; from {when:.4g} s on, it requests no finite force" in text
+    assert f"law overflow: the states of the control law overflow; from {when:.4g} s on, the law requests no finite force" in text
     assert f"This run has no metrics: law overflow at {when:.4g} s." in text
     assert "diverge" not in text
     assert "no vehicle" not in text
@@ -179,7 +179,7 @@ def test_a_campaign_says_why_runs_broke_off(tmp_path, capsys):
     assert campaign([*arguments, "--json"]) == 0
     entry, bounded = json.loads(capsys.readouterr().out)["summary"]
     assert (entry["broke_off"], bounded["broke_off"]) == (1, 0)
-    assert entry["first_reason"].startswith("law overflow: the states of the law overflow; from 0.")
+    assert entry["first_reason"].startswith("law overflow: the states of the control law overflow; from 0.")
     assert campaign(["--verify", str(tmp_path / "results")]) == 0
 
 

@@ -130,7 +130,7 @@ def describing_failures(one: DescribingFunction) -> list[str]:
     """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
     if not np.all(np.isfinite(one.diverged)):
         return []
-    return [f"every run {'broke off' if one.ran_away.any() else 'diverged'}, and nothing is measured"]
+    return [f"every run {'broke off' if one.ran_away.any() else 'diverged'}, so nothing is measured"]
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:

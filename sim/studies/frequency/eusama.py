@@ -161,7 +161,7 @@ def _load(
 def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
     """Returns the minimum loads that differ from the prediction, in words."""
     return [
-        f"on EUSAMA's plate, {one.tyre} keeps {LEFT.text(one.measured)} of its static load; {LEFT.text(one.driven)} is predicted"
+        f"in EUSAMA's test, {one.tyre} keeps {LEFT.text(one.measured)} of its static load; {LEFT.text(one.driven)} is predicted"
         for one in loads
         if not one.ended and not abs(one.measured - one.driven) <= one.allowed
     ]

@@ -84,8 +84,8 @@ def sweep_figure(
     ended = sorted({name for one in (*sweeps, *own) for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.undelayed else ", ".join(how.without_noise.phrases)
-    full = "; full ones: fundamentals over single sinusoids" if own else ""
-    title = f"Lines: linear analysis, {loop}. Markers: MuJoCo at {STEP.text(timestep)}{full}{regime}."
+    full = "; full markers show fundamentals over single sinusoids" if own else ""
+    title = f"Lines show linear analysis, {loop}. Markers show MuJoCo at {STEP.text(timestep)}{full}{regime}."
     body = next((name for name in signals if name.endswith("acceleration")), signals[0])
     columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
     finding = _lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)

@@ -352,6 +352,6 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
         radius = LoopModel(vehicle, controller, timestep).radius
         if radius >= 1:
             raise InputError(
-                f"controller {controller.name!r} makes a loop that has no frequency response, as it does not decay (a timestep "
-                f"multiplies it by {radius:.6g}); give another controller, or a smaller timestep"
+                f"the loop with controller {controller.name!r} has no frequency response, because its motion does not decay (a "
+                f"timestep multiplies it by {radius:.6g}); give another controller, or a smaller timestep"
             )

@@ -40,7 +40,7 @@ SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
 )
 GAINS: tuple[Field[Sweep], ...] = (
     Field("controller", lambda one: one.controller.name),
-    Field("held-road norm", lambda one: one.extremes.worst.gain, GAIN.form),
+    Field("discrete-time norm", lambda one: one.extremes.worst.gain, GAIN.form, column="held-road norm"),
     Field("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
     Field(
         "share of norm",
@@ -54,7 +54,7 @@ GAINS: tuple[Field[Sweep], ...] = (
 NORMS: tuple[Field[Sweep], ...] = (
     GAINS[0],
     Field("norm, continuous", lambda one: NORM.value(one.controller.certificate), NORM.form),
-    Field("held-road norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s"),
+    Field("discrete-time norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s", column="held-road norm at [rad/s]"),
     Field("norm, sampled", lambda one: one.sampled and one.sampled.value, GAIN.form),
     Field("worst road", lambda one: one.road and one.road.gain, GAIN.form),
     Field("its timestep", lambda one: one.road and one.road.timestep, ".4g", 1e3, unit="ms"),
@@ -111,10 +111,10 @@ def describe(
         tables.append(Table.of("frequency-responses", "Frequency responses in MuJoCo and in linear analysis.", RESPONSES, lines))
     if sweeps:
         bounded = [one for one in sweeps if one.is_bounded]
-        tables += [Table.of("gains", "L2 gains in MuJoCo over several roads.", GAINS, bounded)] * bool(bounded)
+        tables += [Table.of("gains", "L2 gains from road to z in MuJoCo.", GAINS, bounded)] * bool(bounded)
         tables += _details(sweeps)
     if own:
-        caption = "Describing functions: fundamentals per road velocity, and the energy at other frequencies."
+        caption = "Describing functions: fundamentals per road velocity, and the share of energy at other frequencies."
         moving = [(one, i) for one in own for i in one.moving]
         detail = "normal" if len(moving) <= MANY else "full"
         tables.append(Table.of("describing-functions", caption, MOVING, moving, 3, detail=detail))
@@ -132,7 +132,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
     for largest, some in holding.items():
         off = at_most(max(float(one.error(one.sampled).max()) for one in some))
         names = names_text(one.controller.name for one in some)
-        text = f"Every frequency response in MuJoCo is within {off} of the exact one of the sampled loop for {names}."
+        text = f"For {names}, every frequency response in MuJoCo is within {off} of the exact response of the sampled loop."
         yield Statement(f"{text} {largest}".rstrip(), "holds")
     for name, texts in failed.items():
         for i, text in enumerate(texts):
@@ -147,16 +147,16 @@ def _largest(one: Sweep | None) -> str:
     if one is None:
         return ""
     if not one.is_bounded:
-        text = "No sinusoid is the worst, as the loop has no finite norm"
+        text = "No sinusoid is the worst, because the loop has no finite norm"
     elif one.extremes.lti:
-        text = "The gain for the worst sinusoid equals the held-road norm, and no other road has a larger gain"
+        text = "The gain for the worst sinusoid equals the discrete-time norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
     elif one.road is not None and not one.road.twisted:
         text = "The worst road reaches the norm of the sampled loop"
     else:
         text = "No gain exceeds the norm of the sampled loop"
-    return f"{text}; the invariants hold." if one.extremes.invariants else f"{text}."
+    return f"{text}; the invariant transfer functions hold." if one.extremes.invariants else f"{text}."
 
 
 def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
@@ -169,24 +169,24 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
     if lines:
         held = how.without_noise.phrases or ("forces held over each timestep",)
         yield (
-            f"'Sampled' is the exact response of the loop that MuJoCo runs: {', '.join((*held, *lag))}. 'Continuous' is that of "
-            f"the continuous loop{', with ' * bool(lag)}{', '.join(lag)}."
+            f"'Sampled' is the exact response of the loop that MuJoCo simulates: {', '.join((*held, *lag))}. 'Continuous' is the "
+            f"response of the continuous loop{', with ' * bool(lag)}{', '.join(lag)}."
         )
     if words := at_rest_words(vehicle):
-        yield f"{words}: only this loop has a frequency response."
+        yield f"{words}, because only such a loop has a frequency response."
 
 
 def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterator[str]:
     """Yields the notes on norms and gains."""
     if not sweeps:
         return
-    held = "The held-road norm is that of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
+    held = "The discrete-time norm is the norm of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
     if steps_per_sample(vehicle.implementation, timestep) > 1:
-        yield f"{held} It omits the other frequencies that a force held over several timesteps adds, so a gain can be larger."
+        yield f"{held} This norm omits the frequencies that a force held over several timesteps adds, so a gain can be larger."
     else:
         yield f"{held} A road that moves during a timestep can have a larger gain."
     if len(vehicle.kind.wheels) > 1:
-        yield "All wheels meet the same road here. The norms of the designs allow a different road under each wheel."
+        yield "All wheels pass the same road here. The norms of the designs allow a different road under each wheel."
     if inside := [one.controller.name for one in sweeps if one.sampled is not None and one.road is None]:
         yield f"Motion within a sample decides the sampled norm of {names_text(inside)}, so no periodic road is the worst."
     if any(one.road is not None and one.road.twisted for one in sweeps):
@@ -211,23 +211,21 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     """Yields statements on a nonlinear law: its largest gain, and the runs that were not measured."""
     name, count, wild = as_name(one.controller.name), len(one.omega), np.isfinite(one.diverged)
     yield from (Statement(f"{name}: {text}.", "fails") for text in describing_failures(one))
-    text = (
-        f"Linear analysis does not apply to {name}, {one.controller.kind}. It was driven over {count} sinusoids, one at a time."
-    )
+    text = f"Linear analysis does not apply to {name}, {one.controller.kind}. Instead, {count} sinusoidal roads were simulated."
     if not wild.all():
         largest = f"{PEAK.cell(one)} at {HERTZ.text(HZ * one.worst_omega)}"
         outside = SHARE.text(float(np.nanmax(one.outside)))
         text += f" The largest gain is {largest}. At most {outside} of a signal's energy is at other frequencies."
     yield Statement(text)
-    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, as the states of the law overflowed")):
+    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, because the states of the law overflowed")):
         if which.any() and not wild.all():
             first = WHEN.text(float(np.min(one.diverged[which])))
-            yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. They are not measured.")
+            yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. These runs are not measured.")
     if one.ended:
         yield Statement(f"{name} left the linear regime: {joined([*one.ended])}.")
     if one.drift > STEADY:
         drift, period = SHARE.text(one.drift), HERTZ.text(HZ * one.omega[0])
-        yield Statement(f"{name} has not settled: a fundamental changed by {drift} in a period of {period}.")
+        yield Statement(f"The run with {name} has not settled: a fundamental changed by {drift} in one period of {period}.")
     yield Statement(f"On other roads, or at other heights, the describing function of {name} can differ.", detail="full")
 
 
@@ -235,9 +233,9 @@ def workshop(vehicle: Vehicle, sweeps: Sequence[Sweep]) -> Document:
     """Returns the document on EUSAMA's test: the minimum load of each wheel under each controller."""
     text = [
         "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. Workshops grade dampers by the smallest tyre load, in "
-        f"% of the static load (EUSAMA TS-02-76). This is {DISPUTED}."
+        f"% of the static load (EUSAMA TS-02-76). This test is {DISPUTED}."
     ]
     text += [f"{words}."] if (words := at_rest_words(vehicle)) else []
     loads = [(one.controller.name, load) for one in sweeps for load in one.loads]
-    table = Table.of("eusama", "Least load of each wheel.", LOADS, loads, 2)
+    table = Table.of("eusama", "Smallest tyre load of each wheel on the plate, in % of the static load.", LOADS, loads, 2)
     return Document("Workshop test (EUSAMA)", (*notes(*text), table))

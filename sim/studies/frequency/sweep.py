@@ -128,7 +128,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
         return describing_failures(one)
     code = code_of(one.controller)
     rounds = code.law.numbers if code is not None and code.law.fixed is not None else ""
-    why = f"; this omits rounding to {rounds}: give a larger --amplitude" if rounds else ""
+    why = f"; linear analysis omits rounding to {rounds}: give a larger --amplitude" if rounds else ""
     return [text + why for text in _failures(one, bool(rounds))]
 
 
@@ -138,9 +138,9 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     # What turning makes of a line goes with the road's height.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
-        why = "; the timestep is too coarse, give a smaller one" if coarse and not rounds else ""
+        why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""
         why = f"{OFF.text(allowed)} is allowed{why}"
-        failed.append(f"the response of {signal} differs from the sampled one by {OFF.text(off)}; {why}")
+        failed.append(f"the frequency response of {signal} differs from the sampled response by {OFF.text(off)}; {why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             size, most = OFF.text(invariant.error), OFF.text(invariant.allowed)
@@ -149,7 +149,7 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     if not one.is_bounded:
         return failed
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
-    low, high, what = norm * (1 - REACHED) - own, norm * (1 + ABOVE) + own, "the held-road norm"
+    low, high, what = norm * (1 - REACHED) - own, norm * (1 + ABOVE) + own, "the discrete-time norm"
     if not one.extremes.lti:
         predicted, finer = one.extremes.predicted
         near = ABOVE * predicted + own

@@ -37,7 +37,7 @@ from sim.studies.ride.statistical_linearisation import Equivalent, line_object, 
 from synth.controller.controller import AnyController, Controller
 
 UNIT = "m/km"
-ABOUT_IRI = "iri is a property of the road that the first wheel passes, defined at 80 km/h whatever the vehicle's speed"
+ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
 NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
 
 
@@ -132,7 +132,7 @@ class RunMetrics(Shown):
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
         }
-        rows = {name: text or "none, as the run broke off" for name, text in rows.items()}
+        rows = {name: text or "no value, because the run broke off" for name, text in rows.items()}
         return facts(f"metrics of a run: {len(rows)}", rows)
 
 
@@ -192,7 +192,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     if first >= len(time[:end]) - 1:
-        raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller one")
+        raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller number")
     expected: Expected | None = None
     transient: Settled | None = None
     controller = run.controller
@@ -249,13 +249,13 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
     vehicle, said = run.vehicle, list[str]()
     if (settled := metrics.settled) is not None:
         said.append(
-            f"When measuring begins, the variance of {settled.signal} is {percent(settled.share)} of its final value. All other "
-            "signals are closer."
+            f"When the measurement begins, the variance of {settled.signal} is {percent(settled.share)} of its final value. All "
+            "other signals are closer to their final values."
         )
     if metrics.error is not None:
         said.append(
-            "~ is approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv up to 8 %. Crest is from 7 % too low to 14 % "
-            "too high. For short runs or light damping the +- is up to 45 % too large."
+            "Values with ~ are approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv up to 8 %. Crest is from 7 % too "
+            "low to 14 % too high. For short runs or light damping, the deviation by road (+-) is up to 45 % too large."
         )
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:
@@ -269,8 +269,8 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         said.append(f"Only MuJoCo's values include the {blur} of the measurements.")
     if metrics.error is not None and metrics.error > EXACT:
         said.append(
-            f"Expected values may be off by {ERROR.text(min(metrics.error, 1.0))}: a resonance is too narrow for the spectral "
-            "lines of this road, or for the integral over them."
+            f"Expected values can have a relative error of {ERROR.text(min(metrics.error, 1.0))}, because a resonance is too "
+            "narrow for the spectral lines of this road, or for the integral over them."
         )
     return said
 
@@ -310,7 +310,7 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         for run, one in zip(runs, known, strict=True)
         if one is not None
     ]
-    said = f"Ride expected over all such roads [m/s²], with the standard deviation by road: {', '.join(each)}."
+    said = f"Expected ride over all such roads [m/s²], with its standard deviation between roads: {', '.join(each)}."
     detail: Detail = "normal" if len(runs) <= FEW else "full"
     return Document("", (*tables, *notes(*([said] if each and len(each) == len(runs) else []), detail=detail)))
 

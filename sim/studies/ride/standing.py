@@ -158,7 +158,7 @@ def headline(standings: Sequence[Standing]) -> str:
         return f"{some_names(rides)} ride{end} and hold{end} the road best"
     said = (("ride", "best", rides), ("hold", "the road best", holds))
     texts = [f"{some_names(names)} {verb}{'s' * (len(names) == 1)} {how}" for verb, how, names in said if names]
-    return ", ".join(texts) or "No controller can be told from another"
+    return ", ".join(texts) or "All controllers have the same values"
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -198,9 +198,9 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     unsound = ", ".join(one.label for one in standings if not one.sound)
     star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
-    caption = f"Worst point in {about}.{f' {legend}.' if legend else ''}"
+    caption = f"Worst point of the vehicle in {about}.{f' {legend}.' if legend else ''}"
     if not there:
-        caption = "There is no ride to compare: a run of every controller broke off."
+        caption = "No controller can be compared, because each has a run that broke off."
     return Table.of("compared", caption, (*columns, *more), standings, words=1 + several)
 
 

@@ -326,13 +326,13 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
     slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.fitted)
-    note = " A position-dependent damper acts with its mean force over all deflections; rms is then exact to 3 %." * tabled
+    note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
     return [
-        f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. Lines "
-        f"fit the characteristics over this road: {'; '.join(slopes)}.{note}",
+        f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
+        f"Slopes of the lines that fit the characteristics over this road: {'; '.join(slopes)}.{note}",
         "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. With friction, rms and dynamic "
         "load are exact to 4 %; vdv is up to 10 % too high, crest 35 %. If wheels leave the road, vdv is up to 8 % too high; "
-        "crest, travel and forces up to 15 %, or 20 % with wheels in the air for a fifth of the time.",
+        "crest, travel and forces up to 15 %, or 20 % if wheels are in the air for a fifth of the time.",
     ]
 
 

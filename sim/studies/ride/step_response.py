@@ -100,7 +100,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     if not low <= percent <= high:
         raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
     if given and step_of(road) is None:
-        raise InputError("--band applies to the response to a step only; drive over --road step, without loads, or omit it")
+        raise InputError("--band applies only to the response to a step; give --road step without loads, or omit --band")
 
 
 def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:
@@ -222,10 +222,10 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
         table = Table.of(f"step-{run.controller.name}", caption, _columns("signal", "response"), rows, 2)
         blocks.append(Document(run.controller.name, (table,), "full"))
     about = (
-        "IAE and ITAE: in the signal's unit times s and s², of the distance from the final value.",
-        f"Settled: from then on within {percent:g} % of the final value, or of the peak for a signal that returns to zero.",
-        "Overshoot: beyond the final value, relative to it; if that is zero, to the opposite side after the peak, over the peak.",
-        "Exact: the continuous linear response, located between samples. MuJoCo: cubics through its samples, forces held.",
+        "IAE and ITAE integrate the distance from the final value, in the signal's unit times s and s².",
+        f"A signal has settled when it stays within {percent:g} % of its final value, or of its peak if it returns to zero.",
+        "Overshoot is relative to the final value. If that is zero, it is on the side opposite to the peak, relative to the peak.",
+        "Exact values are of the continuous linear response. Cubics interpolate MuJoCo's signals between samples.",
     )
     return Document(title, (*blocks, *notes(*about, detail="full")))
 

@@ -53,7 +53,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
     gain, period = loop.gain, loop.sample_period
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
-    title = "gain: any; the limit here is that of the sampling" if ended else "gain of all loops together"
+    title = "gain: any factor is stable; this limit is due to sampling" if ended else "gain of all loops together"
     found_delay, found_period, predicted = loop.found_delay, loop.found_sample_period, loop.predicted
     searches: list[tuple[str, str, StabilityEdge, Field[float], float, float]] = [
         (title, "factor on the gain", gain.search, SIZE, gain.sampled[0], gain.search.found),
@@ -128,7 +128,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
     if math.isfinite(stable.smallest_violation):
         curves.append(
-            Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable from here", "#000000", width=0.8)
+            Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable beyond", "#000000", width=0.8)
         )
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a in (search.unstable if grows else search.stable,) if 0 < a <= end])
@@ -141,7 +141,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
 def _box_panel(controller: Controller, box: Robustness) -> Panel:
     """Returns the panel of the norm over the variations, with physics at the corners; the worst of any beyond two."""
     percent = [100 * (factors - 1) for factors in box.factors]
-    labels = [f"{one.name} [% off]" for one in box.varied]
+    labels = [f"change of {one.name} [%]" for one in box.varied]
     norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
     at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])

@@ -140,7 +140,7 @@ def describe(found: StabilityMargins) -> Document:
     loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
     if _fixed(found):
-        texts.append("The law is discrete; the margins are those of the continuous law with the same Tustin transform.")
+        texts.append("The law is discrete. The margins are those of the continuous law with the same Tustin transform.")
     texts += ["The margins are those of the feedback; preview does not change them."] * (controller.preview is not None)
     blocks: list[Table | Document] = [Table.of("margins", "Margins.", MARGINS, _rows(found))]
     blocks += [Table.of("loops", "Margins of each loop.", LOOPS, loops)] if loops else []
@@ -157,7 +157,7 @@ def _errors_document(found: StabilityMargins) -> Document:
     stable = fragile.predicted.stable.proved_margin
     first = f"is proved for errors of up to {ERROR.text(stable)} of each signal" if stable else "with errors is not proved"
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
-    details = [f"the worst errors are {worst}"] * (len(worst) > WIDTH - HANG)
+    details = [f"the smallest errors that make the loop unstable are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
     others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
     promises = notes(*(promise.text for promise in controller.robustness))
@@ -168,8 +168,8 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
     """Returns the margins of several controllers of a vehicle as a document with figures."""
     vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
     texts = [
-        "Each margin is that of all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
-        f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm it: one decays, and one grows.",
+        "Each margin applies to all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
+        f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm the margin: one decays, and one grows.",
         "Phase lead and disk margin are only predicted. The disk margin d allows simultaneous changes of gain and phase: each "
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
         f"Other vehicles: {varied_text(vehicle.kind)}. Nothing is proved between the vehicles that were computed.",
@@ -181,7 +181,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
     pivot = Pivot(("margin",), "controller", ("predicted", "MuJoCo"))
     tables = (
         Table.of("margins", caption, COMPARED, rows, 2, pivot),
-        Table.of("robustness", "Largest norm of other vehicles, and MuJoCo at the corners of the ranges.", BOX, found),
+        Table.of("robustness", "Largest norm of vehicles with other parameters, and MuJoCo at the range corners.", BOX, found),
     )
     figures = (replace(margins_figure(one), name=f"margins-{one.controller.name}") for one in found)
     return Document("Stability margins", (*verdicts(found), *notes(*texts), *figures, *tables))
@@ -194,8 +194,8 @@ def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
         edges = [one.fragile.edge.found for one in agreed]
         for loop in (loop for one in agreed for loop in one.loops.values()):
             edges += [loop.gain.found, loop.found_gain_lower, loop.found_delay, loop.found_sample_period]
-        decided = ", if its runs decide" if any(map(math.isnan, edges)) else ""
-        others = f", also on {len(agreed[0].box.corners)} other vehicles" if agreed[0].box else ""
+        decided = ", where its runs are decisive" if any(map(math.isnan, edges)) else ""
+        others = f", also for {len(agreed[0].box.corners)} other vehicles" if agreed[0].box else ""
         names = names_text(one.controller.name for one in agreed)
         statements.append(Statement(f"MuJoCo agrees with the predicted margins of {names}{decided}{others}.", "holds"))
     for one in (one for one in found if not one.agrees):
@@ -212,13 +212,13 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
         lag = "has no actuator lag" if vehicle.limits.actuator_bandwidth is None else "includes the lag of its actuators"
         texts.append(f"The loop {lag}.")
         texts += [] if how.undelayed else ["Delay and sample period are totals, which include those of the vehicle file."]
-        texts += [f"It does not include {how.noise_text}."] if how.has_measurement_noise else []
+        texts += [f"The loop does not include {how.noise_text}."] if how.has_measurement_noise else []
         texts += ["Margins require that the dampers of [actuators] give the commanded force."] if vehicle.dampers else []
         texts.append("Norms are those of the ideal loop.")
     if slopes := lines_at_rest(vehicle.fitted):
         texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
     if bent_at_rest(vehicle):
-        texts.append("MuJoCo uses this linearisation, too, as a curve with a kink at equilibrium has no derivative there.")
+        texts.append("MuJoCo uses this linearisation, too, because a curve with a kink at equilibrium has no derivative there.")
     return texts
 
 
@@ -243,7 +243,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower = predicted.gain_lower or one.found_gain_lower
-    note = _joined(UNDECIDED * math.isnan(gain.found), "" if lower else "stable down to 0")
+    note = _joined(UNDECIDED * math.isnan(gain.found), "" if lower else "stable down to a factor of 0")
     rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain)]
     if lower:
         seen = one.found_gain_lower, UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
@@ -295,7 +295,7 @@ def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
 def _worst_errors(found: StabilityMargins) -> str:
     """Returns the smallest errors that make the loop unstable."""
     if math.isinf(found.fragile.edge.own):
-        return "none up to 100 % found"
+        return "no instability found up to 100 %"
     return errors_text(found.fragile.predicted.stable, found.controller.measured, found.vehicle.linear_model.inputs)
 
 
@@ -308,11 +308,11 @@ def _box_document(found: StabilityMargins) -> Document:
     """Returns what other vehicles make of the norm."""
     if (box := found.box) is None:
         if math.isinf(found.controller.certificate.norm.value):
-            return Document("", notes("Other vehicles are not compared, as the loop has no finite norm."))
+            return Document("", notes("Other vehicles are not compared, because the loop has no finite norm."))
         return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
     worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
     text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. "
-    text += "Nothing is proved for vehicles between them."
+    text += "Nothing is proved for the vehicles between these."
     factors = [
         Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
         for i, one in enumerate(box.varied)

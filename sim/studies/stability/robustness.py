@@ -110,19 +110,19 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
         names = tuple(one for one in known if one == name) or tuple(one for one in known if one.startswith(f"{name}_"))
         if not names:
             raise InputError(
-                f"--vary {text}: {quoted(name)} is not a parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
+                f"--vary {text}: {quoted(name)} is not a parameter that can be varied; vary one of {listing(known)}, {EXAMPLE}"
             )
         if again := [one for one in names if any(one in others for others in variations.values())]:
             raise InputError(f"--vary {text}: {again[0]} is varied twice; omit one of them")
         try:
             low, high = map(float, numbers)
         except ValueError:
-            raise InputError(f"--vary {text} is not name:low:high, in multiples of the vehicle's own, {EXAMPLE}") from None
+            raise InputError(f"--vary {text} does not have the form NAME:LOW:HIGH with two factors, {EXAMPLE}") from None
         if not 0 < low <= high < math.inf:
-            raise InputError(f"--vary {text}: give finite multiples above 0, the lower one first, {EXAMPLE}")
+            raise InputError(f"--vary {text}: give finite factors above 0, the smaller one first, {EXAMPLE}")
         variations[Variation(name.replace("_", " "), low, high)] = names
     if len(variations) > MOST:
-        raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
+        raise InputError(f"--vary names {len(variations)} quantities; vary at most {MOST}")
     for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
         with error_in("--vary reaches an invalid vehicle:"):
             vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)

@@ -77,7 +77,7 @@ def edge_document(cells: Cells) -> Document:
     ]
     fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
     left = len(every) - len(shown)
-    texts = [f"{left} more {'is' if left == 1 else 'are'} in --json."] if left else []
+    texts = [f"--json contains {left} more line{'s' * (left > 1)} of the map."] if left else []
     table = Table.of("edges", "First limit along the map.", fields, shown)
     return Document(f"First limit along the {along}, with {cells.fixed_text}", (table, *notes(*texts, *travel_texts(cells))))
 
@@ -98,4 +98,4 @@ def travel_texts(cells: Cells) -> list[str]:
     whole = cells.travel[cells.predicted < 0]
     if not len(whole) or len(cells.vehicle.stops) == len(suspensions):
         return []
-    return [f"Below the limits, a suspension moves up to {TRAVEL.text(whole.max())}; the file has no bump stops."]
+    return [f"Below the limits, travel reaches {TRAVEL.text(whole.max())}; the vehicle file has no bump stops."]

@@ -36,7 +36,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):
-        raise InputError(f"a map has one axis or two, {len(texts)} given; vary one or two of {listing(UNITS)}, {example}")
+        raise InputError(f"--vary is given {len(texts)} times; give it once or twice, for {listing(UNITS)}, {example}")
     axes = []
     for text in texts:
         name, *parts = text.split(":")
@@ -49,7 +49,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         except (ValueError, IndexError):
             wrong, low, high, count = True, 0.0, 0.0, 0
         if wrong:
-            raise InputError(f"--vary {text} is not name:low:high:count, {example}")
+            raise InputError(f"--vary {text} does not have the form NAME:LOW:HIGH:COUNT, {example}")
         smallest, largest = LOWEST if name == "height" else LIMITS[name][0], LIMITS[name][1]
         if not smallest <= low < high <= largest:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
@@ -59,10 +59,10 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
-        raise InputError(f"--vary {axes[0].name} is given twice; vary two different ones of {listing(UNITS)}")
+        raise InputError(f"--vary {axes[0].name} is given twice; vary two different quantities of {listing(UNITS)}")
     count = math.prod(len(axis.values) for axis in axes)
     if count > MOST_CELLS:
-        raise InputError(f"{count} cells are too many; a map has at most {MOST_CELLS}: give fewer points")
+        raise InputError(f"the map has {count} cells, but at most {MOST_CELLS} are allowed; give fewer points")
     return tuple(axes)
 
 

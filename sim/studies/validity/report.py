@@ -52,8 +52,8 @@ ENDS: tuple[Field[OneEnd], ...] = (
     Field("predicted end", lambda of: of[1].predicted_end if of[1] else "at no height"),
     Field("at", lambda of: of[1] and of[1].predicted, RUN_HEIGHT.form, unit="m"),
     Field("MuJoCo stays linear at", lambda of: of[1] and of[1].stays, RUN_HEIGHT.form, unit="m"),
-    Field("off by, of a peak", lambda of: of[1] and of[1].error, "{:.1e}".format),
-    Field("and not at", lambda of: of[1] and of[1].leaves, RUN_HEIGHT.form, unit="m"),
+    Field("error, relative to a peak", lambda of: of[1] and of[1].error, "{:.1e}".format, column="off by, of a peak"),
+    Field("MuJoCo reaches a limit at", lambda of: of[1] and of[1].leaves, RUN_HEIGHT.form, unit="m", column="and not at [m]"),
     Field("ended by", lambda of: of[1] and (of[1].end or "nothing")),
 )
 
@@ -109,16 +109,16 @@ def describe(cells: Cells) -> Document:
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
-        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of them, linear analysis is within "
+        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
     ]
     if np.any(cells.predicted == END_NAMES.index(CURVE.name)):
         off = f"{100 * LEAVES:g} % of its largest force"
         texts.insert(0, f"A curve is a limit if the force of a spring or damper differs from its linearisation by {off}.")
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
-        texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, and it requests no finite force.")
+        texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map shows the analysis with the dampers.")
+        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map includes the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
@@ -129,7 +129,7 @@ def _loop_texts(cells: Cells) -> list[str]:
     if cells.controller.law.acts and (linear := built_words(cells.vehicle)):
         texts.append(f"Linear analysis is of the implemented loop: {linear}.")
     if cells.controller.law.acts and how.has_measurement_noise:
-        texts.append(f"MuJoCo also has {how.noise_text}, which is most of the error over small bumps.")
+        texts.append(f"MuJoCo also has {how.noise_text}, which causes most of the error over small bumps.")
     if not stability.stable:
         texts.append(f"UNSTABLE loop; every run grows: {stability.own.words.removeprefix('unstable: ')}.")
     return texts
@@ -145,10 +145,10 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     size = " by ".join(f"{len(axis.values)} {axis.name}s" for axis in maps[0].axes)
     text = (
         f"Bumps with {maps[0].fixed_text}, {size}. Colours show the first limit that one linear response per speed predicts. "
-        f"MuJoCo runs cells all over the map, and two bumps at every edge, at {1e3 * timestep:g} ms{without}.",
+        f"MuJoCo simulates cells all over the map, and two bumps around every limit, at {1e3 * timestep:g} ms{without}.",
         f"Linear analysis holds in a run if it is within {THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
-    caption = "Shares of each map by the first limit that is predicted; in MuJoCo's runs, where analysis holds, and as predicted."
+    caption = "Shares of cells by first predicted limit, and of MuJoCo's runs where analysis holds, or that are as predicted."
     figures = (replace(envelope_figure(one), name=f"map-{one.controller.name}") for one in maps)
     blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
@@ -164,11 +164,11 @@ def verdicts(maps: Sequence[Cells]) -> list[Statement]:
         names = names_text(one.controller.name for one in some)
         text = f"the map{'s' * (len(some) > 1)} of {names}: in {driven - others} of {driven} cells"
         if others:
-            text += f" (of the other {others}, {sum(one.unexplained for one in some) or 'none'} is not at a boundary)"
+            text += f" ({others - sum(one.unexplained for one in some)} of the other {others} are next to a boundary)"
         if ends := [end for one in some for end in one.ends.values()]:
             text += f" and at {sum(end.confirmed for end in ends)} of {len(ends)} edges"
             text += f", within {percent(math.ceil(1e3 * max(one.furthest for one in some) - 1e-6) / 1e3)}" if right else ""
-        text += ", the first limit is the predicted one."
+        text += ", the first limit is the predicted limit."
         agreement = "agrees" if right else "DOES NOT AGREE"
         statements.append(Statement(f"MuJoCo {agreement} with {text}", "holds" if right else "fails"))
     return statements
@@ -205,7 +205,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
         text += f"and analysis is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
-    note = f"One linear run of the implemented loop{noise} predicts the height. Runs take {runs}."
+    note = f"One linear run of the implemented loop{noise} predicts the height. Each run lasts {runs}."
     caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
     table = Table.of("regime", caption, ENDS, ends, words=2)
     return Document("Range of linear analysis over bumps", (*statements, *notes(note), table))
@@ -275,8 +275,8 @@ def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], gro
     panel = Panel("", xlabel, ylabel, tuple(curves), ground)
     which = f"{cells.vehicle.kind.name.replace('_', ' ')}, controller {cells.controller.name}, with {cells.fixed_text}"
     which += f", under {PLUS.join(load.label for load in cells.loads)}" if cells.loads else ""
-    title = f"First limit over bumps: {which}. Colours and lines: predicted. Markers: MuJoCo in {len(cells.driven)} of "
-    title += f"{len(cells.bumps)} cells, {SHARE.text(cells.agreement)} as predicted"
+    title = f"First limit over bumps: {which}. Colours and lines are predicted. Markers show MuJoCo in {len(cells.driven)} of "
+    title += f"{len(cells.bumps)} cells, {SHARE.text(cells.agreement)} of them as predicted"
     finding = f"With {as_name(cells.controller.name)}, no limit is reached over {FIRST[0].cell(cells)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, finding=finding)
 
@@ -293,12 +293,12 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
         curves.append(_marks(np.array(at), ENCLOSED, "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
-    return _figure(cells, LABELS[axis.name], "share of the way to a limit", curves)
+    return _figure(cells, LABELS[axis.name], "largest response as a fraction of each limit", curves)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
     """Describes the vehicle's own limit that is the same either way; for a curve, the share off its line."""
     if end is CURVE:
-        return f" (off its line by {100 * LEAVES:g} % of its largest force)"
+        return f" (differs from its line by {100 * LEAVES:g} % of its largest force)"
     values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
     return "".join(f" (at ±{value:g} {unit})" for value, unit in values)
