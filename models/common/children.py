@@ -85,7 +85,7 @@ class Child:
             Exception: the answer is an exception.
         """
         try:
-            answer = self._answers.get(timeout=longest)
+            answer = self._answers.get(timeout=None if longest is None else max(0.0, longest))  # a budget may be spent
         except BaseException as error:  # KeyboardInterrupt too: the answer to come would be taken for the next one
             self.end()
             raise (TimeoutError if isinstance(error, queue.Empty) else error) from None
