@@ -84,7 +84,7 @@ def sides(edge):
                 break
 
 
-@pytest.mark.parametrize("seed", [1, 9, *attacks(range(200))])
+@pytest.mark.parametrize("seed", [1, *attacks(range(200))])
 def test_drawn_loops_agree_and_every_edge_is_one(seed):
     """No margin of a drawn loop disagrees. After a bump, runs of ten time constants decay below each edge and grow above it."""
     vehicle, ideal, controller = drawn_loop(seed)
