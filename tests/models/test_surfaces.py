@@ -136,8 +136,7 @@ def test_two_percent_of_any_number_shows():
         for place in np.argwhere(part):
             wrong = part.copy()
             wrong[tuple(place)] *= 1.02
-            v, d, force = (wrong if one is part else one for one in (V, D, F))
-            car = tabled(v=v, d=d, force=force)
+            car = tabled("quarter_car", "", *(wrong if one is part else one for one in (V, D, F)))
             response = sampled_response(car, design(car, "passive"), ROAD, time, taylor4)
             assert apart(car, reference, time, response) > 1e-5, (part is F, place)
 
