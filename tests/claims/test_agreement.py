@@ -61,8 +61,8 @@ def test_orders_of_the_step(paper, controller):
         if len(errors) < 3:
             sampled = sampled_response(paper, controller, Bump(), time)
             errors.append(error(physics, sampled, "tyre_deflection"))
-        if step == 1e-3:  # measured 7.4e-7 in tyre deflection
-            assert max(error(physics, sampled, signal) for signal in paper.linear_model.outputs) < 2e-6
+            if step == 1e-3:  # measured 7.4e-7 in tyre deflection
+                assert max(error(physics, sampled, signal) for signal in paper.linear_model.outputs) < 2e-6
     slopes, of_held = (np.diff(np.log(one)) / np.diff(np.log(STEPS[: len(one)])) for one in (errors, held))
     np.testing.assert_allclose(slopes, 4.0, atol=0.1)  # the next order, and peaks that fall between samples
     np.testing.assert_allclose(of_held, 2.0 if controller.name == "passive" else 1.0, atol=0.05)  # the next order
