@@ -162,12 +162,12 @@ def test_another_vehicles_prediction_does_not_agree(paper, designer):
 )
 def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     """A wheel that leaves the road is reported with when and for how long; until then physics and analysis agree."""
-    result = answer(capsys, main, "--controller", "I", "--no-logs", *options)
+    result = answer(capsys, main, "--controller", "I", "--no-logs", "--duration", "1", *options)
     (run,) = result["runs"]
     assert run["agrees"] is True
     assert run["lift_off"]
     for start, end in run["lift_off"]:
-        assert 0 < start <= end <= 3.0
+        assert 0 < start <= end <= 1.0
     for entry in run["signals"].values():
         assert entry["error"]["sampled"] < 1e-5  # RK4's own: 5e-7 at 1 ms, 6.2e-6 at 2 ms
     # Over the whole run they are far apart: it was the comparison that stopped, not the physics.
@@ -182,7 +182,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     (run,) = result["runs"]
     assert run["agrees"] is True
     assert (run["controller"]["norm"], run["controller"]["peak_frequency"]) == (None, None)
-    main(["--controller", "mine", "--controller", "passive", "--no-logs", "--vehicle", vehicle, "--brief"])
+    main(["--controller", "mine", "--controller", "passive", "--duration", "0.5", "--no-logs", "--vehicle", vehicle, "--brief"])
     assert "mine: UNSTABLE loop; MuJoCo agrees" in prose(capsys.readouterr().out)
 
 

@@ -57,7 +57,7 @@ CASES = {  # the cases of each command: their names and options
     "sim.gallery": {"plain": ("textbook",)},
     "sim.report": {"plain": QUICK, "limits": (*QUICK, *LIMITS)},
 }
-LONG = {("synth", "front"), ("synth", "goals"), ("sim.sweep", "limits"), ("sim.margins", "limits")}
+LONG = {("synth", "front"), ("synth", "goals"), ("synth", "rates"), ("sim.sweep", "limits"), ("sim.margins", "limits")}
 EVERY = [(command, case) for command, cases in CASES.items() for case in cases]
 NAMES = "|".join([*VEHICLE.parameters, *(signal.name for signal in VEHICLE.kind.signals), "(?<=^gain-).*"])
 

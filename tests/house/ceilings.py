@@ -147,7 +147,7 @@ commands that drive                                            1010    961    36
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   3461   1484
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
-    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
+    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site}.py
     tests/benchmarks/*
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
     docs/how-to/{analyse,deliver,design,simulate,vehicle}.md

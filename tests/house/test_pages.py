@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from sim.studies.gallery import numbers
+from tests.support.commands import in_the_suite
 from tests.support.pages import (
     GENERATED,
     LIGHTER,
@@ -18,9 +20,10 @@ from tests.support.pages import (
     same_picture,
     sections,
 )
+from tests.support.shared import share
 
 SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
-# Each some seconds or more: in test_slow_pages.py, after the suite.
+# Each some seconds or more: after the suite.
 SLOW = (
     *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
     *("synth --vehicle quarter_car_goals", "synth --front"),
@@ -30,32 +33,28 @@ SLOW = (
 
 
 def slow(one: Section) -> bool:
-    """Returns True if a section is for test_slow_pages.py."""
+    """Returns True if a section is for the attacks."""
     return any(f"-m {command} " in f"{line} " for command in SLOW for line in one.commands)
 
 
-def check(one: Section, folder, monkeypatch, capsys) -> None:
-    """Runs a section; holds what it prints and draws against the page."""
+@pytest.mark.parametrize("one", in_the_suite([each for each in SECTIONS if not slow(each)], SECTIONS), ids=str)
+def test_commands(one, tmp_path, monkeypatch, capsys):
+    """Every command exits with 0, prints the lines that stand beside it, and draws the picture that is shown."""
+    share(monkeypatch, numbers, "compared")  # three pages show numbers of the gallery, which `test_gallery.py` holds
     if any("--picture" in line or "sim.report" in line for line in one.commands):
         pytest.importorskip("matplotlib", reason="needs the extra [report]")
         pytest.importorskip("jinja2", reason="needs the extra [report]")
-    monkeypatch.chdir(folder)
-    run(one, folder)
+    monkeypatch.chdir(tmp_path)
+    run(one, tmp_path)
     printed = capsys.readouterr().out
     for text in one.blocks("text"):
         assert missing(text, printed) is None
     lines = "\n".join(one.commands)
     for name in re.findall(r"--picture (\S+)", lines):
-        assert same_picture(folder / name, PICTURES / name)
+        assert same_picture(tmp_path / name, PICTURES / name)
     for figures in re.findall(r"--figures (\S+)", lines):
         for name in re.findall(r"!\[.*/pictures/(\S+)\)", one.text):
-            assert same_picture(folder / figures / name, PICTURES / name)
-
-
-@pytest.mark.parametrize("one", [each for each in SECTIONS if not slow(each)], ids=str)
-def test_commands(one, tmp_path, monkeypatch, capsys):
-    """Every command exits with 0, and prints the lines that stand beside it."""
-    check(one, tmp_path, monkeypatch, capsys)
+            assert same_picture(tmp_path / figures / name, PICTURES / name)
 
 
 def test_what_is_made_lighter_is_there():

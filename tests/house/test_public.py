@@ -214,6 +214,6 @@ def test_lists_do_for_matrices():
     for gain, measured in ((K, Cy), arrays):
         assert synth.certify(plant, synth.Feedback(gain, measured)).norm.value == pytest.approx(0.290259, rel=1e-5)
         assert synth.refine(plant, measured, gain).after == pytest.approx(0.25, rel=1e-3)
-        assert synth.static_output_feedback(plant, measured).certificate.norm.value == pytest.approx(0.25, rel=1e-3)
+    assert synth.static_output_feedback(plant, Cy).certificate.norm.value == pytest.approx(0.25, rel=1e-3)
     with pytest.raises(models.InputError, match=r"K has shape \(1, 2\); expected \(1, 1\)"):
         synth.refine(plant, Cy, np.array([[1.0, 2.0]]))

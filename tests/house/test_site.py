@@ -156,7 +156,7 @@ def test_tables_have_whole_rows(made):
 def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
     """Each picture that a command on a page draws stands in the gallery, above that command, and pages show no other.
 
-    `test_pages.py` and `test_slow_pages.py` run the command, and hold what it draws against the picture.
+    `test_pages.py` runs the command, and holds what it draws against the picture.
     """
     drawn = generate.drawn()
     assert {*(name for name, *_ in drawn), "car.svg"} == {path.name for path in PICTURES.iterdir()}

@@ -48,7 +48,7 @@ def test_each_way_to_fail_is_an_exception(message, error, said):
     child = Child(answers)
     child.ask("pass", 10.0)
     with pytest.raises(error, match=said):
-        child.ask(message, 1.0)
+        child.ask(message, 0.1 if error is TimeoutError else 10.0)
     with pytest.raises(EndedError):
         child.ask("pass", 10.0)
 

@@ -180,7 +180,7 @@ def test_against_equations_written_out_and_integrated_by_scipy():
 def test_public_damper_tables(velocity, force):
     """Front and rear damper of a car in DYNA4's database, extension positive as here, make a quarter-car move as SciPy says."""
     vehicle = with_curves(suspension_damping=f"{{ velocity = {velocity}, force = {force} }}")
-    time, road = sample_times(vehicle, 0.6, 1e-3), Bump(0.05, 5.0, 12.5)
+    time, road = sample_times(vehicle, 0.3, 1e-3), Bump(0.05, 5.0, 12.5)
     reference, exact = integrated_by_scipy(vehicle, road, time), sampled_response(vehicle, design(vehicle, "passive"), road, time)
     for name, column in zip(STATES, reference.T, strict=True):
         assert exact[name] == pytest.approx(column, abs=1e-7 * np.abs(column).max())
@@ -396,13 +396,13 @@ def test_a_file_that_is_no_curve(tmp_path, name, content, said):
 def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     """The verdict says when the curve leaves its line and by how much; from the log alone all of it is computed again."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
-    arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.6"]
+    arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.3"]
     assert main([*arguments, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "suspension_velocity" in json.loads(read_log(log).attachments["result.json"])["runs"][0]["signals"]
     vehicle = read_vehicle(tmp_path / "mine.toml")
-    (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
+    (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.3, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
     assert f"first differs from its line by 10 % of its largest force at {when:.4g} s" in said
     assert f"suspension_damping differs from its linearisation by up to {100 * share:.2g} % of its largest force" in said

@@ -176,7 +176,7 @@ def test_continuous_response_is_that_of_the_differential_equation(kind, text, na
     damping = "tyre_damping_front = 900.0\ntyre_damping_rear = 1400.0"  # whose force feels the road's velocity at once
     vehicle = car(kind, f"[parameters]\n{damping}" if kind == "half_car" else "")
     controller = designed(vehicle, name)
-    road, time, model = road_of(text, vehicle), sample_times(vehicle, 1.2, 1e-2), vehicle.linear_model
+    road, time, model = road_of(text, vehicle), sample_times(vehicle, 0.8, 1e-2), vehicle.linear_model
     m, rows = len(model.inputs), [model.outputs.index(name) for name in controller.measured]
     D = model.D[rows]
     K = np.linalg.solve(np.eye(m) - controller.gain @ D, controller.gain)
@@ -193,12 +193,12 @@ def test_continuous_response_is_that_of_the_differential_equation(kind, text, na
         return model.A @ x + model.B @ force(t, x) + model.Bw @ w + model.Bl @ load
 
     kinks = [kink + delay for kink in road.kinks for delay in delays(road, vehicle)]
-    response, edges = continuous_response(vehicle, controller, road, time), sorted({0.0, 1.2, *kinks, *road.load_kinks})
+    response, edges = continuous_response(vehicle, controller, road, time), sorted({0.0, 0.8, *kinks, *road.load_kinks})
     found, x = {}, np.zeros(len(model.A))
     for start, end in itertools.pairwise(edges):  # no integrator steps over a kink
-        if start < 1.2:
-            solved = solve_ivp(rate, (start, min(end, 1.2)), x, "DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
-            found |= {t: solved.sol(t) for t in time if start <= t <= min(end, 1.2)}
+        if start < 0.8:
+            solved = solve_ivp(rate, (start, min(end, 0.8)), x, "DOP853", rtol=1e-11, atol=1e-13, dense_output=True)
+            found |= {t: solved.sol(t) for t in time if start <= t <= min(end, 0.8)}
             x = solved.y[:, -1]
     for k, t in enumerate(time):
         w, load = pushed(t)

@@ -36,6 +36,10 @@ HARD = {"velocity": [-0.5, -0.1, 0.0, 0.1, 0.5], "force": [-2000.0, -600.0, 0.0,
 STOP = {"bump": (4e4, 2e6, 3e8), "rebound": (2e5, 0.0, 0.0)}
 LAWS = ("skyhook", "skyhook_linear", "hybrid", "pdd")
 TABLE = {"deflection": [-0.09, -0.03, 0.02, 0.08], "ratio": [0.68, 0.62, 0.6, 0.55]}
+SAME = [("quarter_car", "curves", "held"), ("quarter_car", "dampers", "held passive skyhook skyhook_linear hybrid pdd")]
+SAME += [("quarter_car", "measured", "skyhook_linear pdd"), ("half_car", "curves", "held"), ("full_car", "curves", "held")]
+SAME += [(kind, sort, "hybrid") for kind in ("half_car", "full_car") for sort in ("dampers", "measured")]
+MORE = [("quarter_car", "curves", "passive"), ("quarter_car", "measured", "held passive skyhook hybrid")]
 
 
 def axle(corner: str) -> str:
@@ -131,12 +135,11 @@ def test_a_design_reaches_the_same_norm():
     assert norm_of(arm, "state") == pytest.approx(norm_of(replace(wheel, performance=priced), "state"), rel=1e-5)
 
 
-@pytest.mark.parametrize("sort", ["curves", "dampers", "measured"])
-@pytest.mark.parametrize("kind", CORNERS)
-def test_runs_are_the_same(kind, sort):
+@pytest.mark.parametrize(("kind", "sort", "names"), [*SAME, *attacks(MORE)])
+def test_runs_are_the_same(kind, sort, names):
     """In MuJoCo, too, with curves, stops, actuators and semi-active dampers: every signal, the work, and the verdict."""
     arm, wheel = car(kind, sort), car(kind, sort, False)
-    for name in ("passive", *arm.controllers) if kind == "quarter_car" else ("held" if sort == "curves" else "hybrid",):
+    for name in names.split():
         one, other = (driven(vehicle, name, "iso8608:class=E") for vehicle in (arm, wheel))
         assert one.passed, name
         for signal in one.physics.names:
@@ -309,9 +312,7 @@ def test_a_ratio_over_travel(kind):
         assert np.abs(curve(d) - own).max() <= stated * np.abs(own).max() < 2e-3 * np.abs(own).max()
     if kind == "quarter_car":
         (spring,), damper = (one for (_, damps), one in curves.items() if not damps), straight(DAMPER)
-        own = integrated(
-            vehicle, run.prediction.input.midway, lambda d, v, u: spring(d) + ratio_at(d) * damper(ratio_at(d) * v), 0.0
-        )
+        own = integrated(vehicle, run.prediction.input.midway, lambda d, v, u: spring(d) + (r := ratio_at(d)) * damper(r * v), 0)
         assert np.abs(own[:, 0] - run.physics["suspension_deflection"]).max() < 1e-9 * np.abs(own).max()
         for point in TABLE["ratio"][1:3]:  # which this bump reaches
             assert_found(run, parse_vehicle(vehicle.text.replace(f" {point},", f" {1.02 * point},")))
@@ -406,9 +407,8 @@ def test_a_stop_over_travel():
     assert float(bump.work(np.array(0.02))) == pytest.approx(1e5 * travel**2 / 2, rel=1e-12)
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
     assert not vehicle.doubts
-    far = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
-    assert len(far) == 1
-    assert "ends at 0.08 m, and the rebound stop begins at 0.10" in far[0]
+    (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
+    assert "ends at 0.08 m, and the rebound stop begins at 0.10" in far
 
 
 def test_rates_at_the_wheel_are_printed():

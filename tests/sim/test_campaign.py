@@ -40,7 +40,7 @@ vehicles = ["quarter_car", "half_car"]
 controllers = ["passive", "I"]
 roads = ["iso8608:class=A", "iso8608:class=E", "pothole:depth=0.02"]
 speeds = [15.0, 25.0]
-seeds = [0, 5, 1]
+seeds = [0, 5]
 duration = 0.6
 settle = 0.1
 timestep = 2e-3
@@ -53,7 +53,7 @@ seed = 3
 [samples.parameters]
 sprung_mass = { uniform = [0.8, 1.2], relative = true }
 """
-RUNS = 2 * 2 * 2 * 2 * (3 + 3 + 1)  # vehicles, controllers, speeds, samples, and seeds of every road
+RUNS = 2 * 2 * 2 * 2 * (2 + 2 + 1)  # vehicles, controllers, speeds, samples, and seeds of every road
 # Gains that are given need no design: this starts in the time of its imports.
 QUICK = """
 vehicles = ["quarter_car"]
@@ -97,14 +97,14 @@ def test_every_combination_is_a_row(small):
     assert [row["run"] for row in rows] == list(range(RUNS))
     inputs = [tuple(row[name] for name in ("vehicle", "controller", "road", "speed", "sample", "seed")) for row in rows]
     assert len(set(inputs)) == RUNS
-    assert {row["seed"] for row in rows if row["road"].startswith("iso")} == {0, 5, 1}
+    assert {row["seed"] for row in rows if row["road"].startswith("iso")} == {0, 5}
     assert {row["seed"] for row in rows if row["road"].startswith("pothole")} == {None}
     masses = {row["parameter_sprung_mass"] for row in rows if row["vehicle"] == "quarter_car"}
     assert len(masses) == 2
     assert all(0.8 * 504.5 <= mass <= 1.2 * 504.5 for mass in masses)
     # Vehicles, controllers and samples share the IRI of a road; every class and seed has its own.
     rough = {(row["road"], row["seed"], row["iri"]) for row in rows if row["speed"] == 25.0 and row["seed"] is not None}
-    assert len(rough) == len({iri for *_, iri in rough} - {None}) == 2 * 3
+    assert len(rough) == len({iri for *_, iri in rough} - {None}) == 2 * 2
 
 
 def test_the_file_says_what_it_is(small):

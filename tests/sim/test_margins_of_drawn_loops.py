@@ -84,7 +84,7 @@ def sides(edge):
                 break
 
 
-@pytest.mark.parametrize("seed", [1, 9, *attacks(range(200))])
+@pytest.mark.parametrize("seed", [1, *attacks(range(200))])
 def test_drawn_loops_agree_and_every_edge_is_one(seed):
     """No margin of a drawn loop disagrees. After a bump, runs of ten time constants decay below each edge and grow above it."""
     vehicle, ideal, controller = drawn_loop(seed)
@@ -92,8 +92,7 @@ def test_drawn_loops_agree_and_every_edge_is_one(seed):
     margins = [searches(ideal, controller, cut, TIMESTEP), implemented_searches(vehicle, controller, cut, TIMESTEP)]
     find_all(margins)
     fragile = find_fragility(ideal, controller, TIMESTEP)
-    assert all(one.agrees for one in margins)
-    assert fragile.agrees
+    assert all(one.agrees for one in (*margins, fragile))
     edges = [each for one in margins for each in (one.gain.search, one.gain_lower.search, one.delay, one.sample_period)]
     trials = [
         (edge.trial(amount), rate, edge.loop(amount))
@@ -107,10 +106,7 @@ def test_drawn_loops_agree_and_every_edge_is_one(seed):
         time = np.arange(round(seconds / TIMESTEP) + 1) * TIMESTEP
         bump = Bump(height=1e-6, length=20.0, speed=100.0, track="left")  # soon over
         run = simulate([trial.controller], [RoadInput(trial.vehicle, bump, time)]).run(0)
-        states = np.stack([run[name] for name in trial.vehicle.linear_model.states])
-        diverged, quarter = bool(np.isnan(states).any()), len(time) // 4
-        before, after = (
-            (np.abs(states[:, k * quarter : (k + 1) * quarter]).max(axis=1) / np.nanmax(np.abs(states), axis=1)).max()
-            for k in (2, 3)
-        )
+        size = np.abs(np.stack([run[name] for name in trial.vehicle.linear_model.states]))
+        diverged, quarter = bool(np.isnan(size).any()), len(time) // 4
+        before, after = ((size[:, k * quarter : (k + 1) * quarter].max(axis=1) / np.nanmax(size, axis=1)).max() for k in (2, 3))
         assert (diverged or after > before) == (rate > 0), f"rate {rate:.3g} 1/s"

@@ -19,6 +19,7 @@ from sim.studies.stability.robustness import _worst, read_variations, robustness
 from sim.studies.stability.study import stability_margins
 from synth.analysis.norm import by_level_sets, hinf_norm
 from synth.controller.problem import generalized_plant
+from tests.support.commands import once
 
 
 def test_a_worst_norm_between_the_points_of_its_grid_is_found():
@@ -103,8 +104,9 @@ def test_the_kind_says_what_varies(paper, designer):
     assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
 
 
-def test_a_terminal_shows_all_margins(capsys):
+def test_a_terminal_shows_all_margins(capsys, monkeypatch):
     """Every margin is on a terminal without -v; with -v, every corner of the varied vehicles, too."""
+    monkeypatch.setattr("sim.studies.stability.study.stability_margins", once(stability_margins))
     asked = ["--controller", "I", "--timestep", "4e-3"]
     assert main(asked) == 0
     brief = capsys.readouterr().out

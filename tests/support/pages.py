@@ -30,6 +30,11 @@ LIGHTER = {
     "sim.bump --controller passive --controller state": "--duration 0.5",
     "sim.bump --controller all": "--duration 0.5",
     "sim.bump --picture": "--no-logs",
+    "sim.bump --vehicle my_car.toml": "--duration 0.5 --no-logs",
+    "sim.bump --vehicle quarter_car --vehicle": "--duration 0.5 --no-logs",
+    "sim.bump --vehicle quarter_car_semi_active": "--no-logs",
+    "sim.bump --vehicle models/gallery/simulink_half_car": "--duration 0.5 --no-logs",
+    "sim.bump --controller I --height": "--duration 0.5 --no-logs",
     "sim.bump --controller I --controller II": "--no-logs",
     "sim.drive --controller I": "--no-logs",
     "sim.drive --controller passive": "--duration 1 --no-logs",  # a shorter stretch of the same road

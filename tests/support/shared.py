@@ -143,7 +143,8 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.analysis.sampled_norm.sampled_norm",
 )
 
-BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
+# These import designs, and not the other way round.
+BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.", "synth.vehicle.trade_off.")
 
 
 def share(patch: pytest.MonkeyPatch, home: ModuleType, *names: str) -> None:

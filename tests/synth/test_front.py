@@ -29,7 +29,7 @@ from synth.vehicle.trade_off.report import front_figure, line
 from tests.support.commands import attacks, prose
 from tests.support.shared import made
 
-COUNT, QUICK = 8, 5
+COUNT, QUICK = 6, 5
 OMEGA = np.append(0.0, np.geomspace(1e-3, 1e4, 20000))  # rad/s
 
 
