@@ -20,7 +20,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter, measure
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
-from tests.support.commands import main_of, prose
+from tests.support.commands import attacks, main_of, prose
 
 CORNERS = {
     "quarter_car": ("",),
