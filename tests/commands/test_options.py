@@ -61,7 +61,7 @@ REFUSED = [
     ("sim.bump --controller I --controller II --controller I", "--controller I is given twice"),
     ("sim.bump --controller I --no-logs --logs x", "--logs: not allowed with argument --no-logs"),
     ("sim.bump --controller I --serve --no-logs", "--no-logs writes none"),
-    ("sim.bump --controller I --track left", "only one track"),
+    ("sim.bump --controller I --track left", "needs two tracks"),
     ("sim.drive --controller I --class C --road step", "--class and --road exclude each other"),
     ("sim.drive --controller I --road watts_hump --seed 0", "--seed selects a random road"),
     ("sim.sweep --speed 12.5", "--speed affects only rear wheels"),
