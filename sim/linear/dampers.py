@@ -29,6 +29,14 @@ def stretching(vehicle: Vehicle) -> Array:
     return np.stack(rows)
 
 
+def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
+    """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m)."""
+    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
+    ratios = vehicle.ratios_along(physics.__getitem__) / np.array([*vehicle.motion_ratios.values()])
+    return (of.at_rest - states @ stretching(vehicle).T) * ratios
+
+
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if a run is linear until a limit is reached: the vehicle has no adjustable dampers, or its controller is
     passive.

@@ -25,6 +25,7 @@ from sim.response.response import Response
 from sim.runs.steps import LocalAgreement
 from synth.controller.controller import AnyController, Controller, code_of
 
+SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
 
 
@@ -137,6 +138,14 @@ def _readings(
             scale = physics.scale(name) or 1.0
             far = np.abs(commanded.measured[name][due] - physics[name][due]) / scale
             yield name, road.time[due], far, np.full(len(due), EXACT + rounded[name] / scale)
+    if road.vehicle.dampers:
+        from sim.linear.dampers import closing_velocities
+
+        closing = closing_velocities(road.vehicle, physics.samples(due))
+        for name, expected in zip(closing_names(road.vehicle), closing.T, strict=True):
+            scale = float(np.abs(expected).max(initial=0.0)) or 1.0
+            far = np.abs(commanded.measured[name][due] - expected) / scale
+            yield name, road.time[due], far, np.full(len(due), SPEED * (1 + 1 / scale))
 
 
 def _commands(

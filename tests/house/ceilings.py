@@ -135,7 +135,7 @@ map of validity                                                1169    369     3
 MuJoCo loop                                                    1827    841     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                               1040    370      0
+linear responses                                               1042    370      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
 runs, verdict, their text                                      2982    888     51
