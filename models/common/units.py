@@ -67,10 +67,8 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     number, written = match.groups()
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
-        expected = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
-        raise InputError(
-            f"{said} has the {'unknown ' * (not size)}unit {quoted(written)}, but {expected}, as in {_example(unit)}"
-        )
+        need = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
+        raise InputError(f"{said} has the {'unknown ' * (not size)}unit {quoted(written)}, but {need}, as in {_example(unit)}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
