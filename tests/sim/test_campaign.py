@@ -472,7 +472,7 @@ BAD_FILES = [
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",
         "vehicle 'quarter_car': the distribution of sprung_mass contains a value that is not allowed: sprung_mass = -10",
     ),
-    ({}, SAMPLED + "sprung_mass = { uniform = ['400 kg', '500 kg'], relative = true }", "and a pure number is expected"),
+    ({}, SAMPLED + "sprung_mass = { uniform = ['400 kg', '500 kg'], relative = true }", "but a pure number is expected"),
     (
         {},
         SAMPLED + "tyre_stiffness = { uniform = [1e3, 2e5] }",
