@@ -210,7 +210,7 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = len(_inputs(model))
     if actuators != len(vehicle.linear_model.inputs):
         raise InputError(
-            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; give as many"
+            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; match both"
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
