@@ -25,7 +25,7 @@ except Exception as error:  # a file or a folder of the user's has the name of a
 
     _spec = find_spec("models")
     _place = "nothing" if _spec is None else _spec.origin or next(iter(_spec.submodule_search_locations or ()))
-    _line = f"{_place} hides Roadproof's package 'models'; rename it, or run commands as in: roadproof bump"
+    _line = f"{_place} hides Roadproof's package 'models'; rename that file or folder, or start commands as in: roadproof bump"
     if sys.argv[:1] != ["-m"]:
         raise ImportError(_line) from error
     sys.stderr.write(f"roadproof: {_line}\n")

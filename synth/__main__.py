@@ -62,13 +62,13 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     designed = [entry.name for entry in linear if goes("zero_l", entry.parts)]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
-        raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; omit it")
+        raise InputError(f"--zero-l is for designs in two steps, but {vehicle.source} contains no such design; omit --zero-l")
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
         if options.zero_l and name in vehicle.controllers:
             check_command(f"controller {name!r}", vehicle.controllers[name].parts, "zero_l")
         elif options.zero_l:
-            raise InputError(f"--zero-l: {name!r} is not designed in two steps; this vehicle has {listing(designed)}")
+            raise InputError(f"--zero-l: {name!r} is not designed in two steps; give one of {listing(designed)}")
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; give another controller, or omit --refine")
     return list(names)

@@ -52,9 +52,9 @@ class BandNorm:
         """The norm in the band on one line."""
         band = f"{rough(self.low / (2 * np.pi))} to {rough(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
-            return f"infinite from {band}: a pole at {rough(self.peak_frequency)} rad/s, to rounding, does not decay"
-        text = f"at most {digits(self.value)} from {band}, reached at {self.peak_frequency:.5g} rad/s"
-        return text if self.stability.stable else f"{text}, but no sinusoid settles in this loop: {self.stability.words}"
+            return f"norm from {band}: infinite, as a pole at {rough(self.peak_frequency)} rad/s does not decay"
+        text = f"norm from {band}: at most {digits(self.value)}, reached at {self.peak_frequency:.5g} rad/s"
+        return text if self.stability.stable else f"{text}, but the loop is {self.stability.words}"
 
 
 @numerics()
@@ -97,8 +97,8 @@ def check_band(low: float, high: float) -> None:
     """Raises an InputError if 0 <= low < high [rad/s] is violated."""
     if not 0 <= low < high:
         raise InputError(
-            f"low = {quoted(low)} to high = {quoted(high)} rad/s is not a band; give a lower edge of at least 0 and a higher "
-            "upper edge"
+            f"low = {quoted(low)} to high = {quoted(high)} rad/s is not a frequency band; give low from 0 upwards, and high "
+            "above low"
         )
 
 
@@ -108,14 +108,14 @@ def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
         return Gain(loop, low, high)
     if low * loop.dt >= np.pi:
         raise InputError(
-            f"the band begins at {low:g} rad/s, but the Nyquist frequency of a loop sampled every {loop.dt:g} s is "
-            f"{np.pi / loop.dt:g} rad/s; begin below that"
+            f"low = {low:g} rad/s is not below the Nyquist frequency, which is {np.pi / loop.dt:g} rad/s for a sample period of "
+            f"{loop.dt:g} s; give a lower frequency"
         )
     try:
         mapped = continuous_loop(loop)
     except np.linalg.LinAlgError:
         raise DesignError(
-            "the loop has a pole at z = -1, so no continuous loop has its gains (bilinear transformation); give a loop without it"
+            "the bilinear transformation to continuous time has no value for a pole at z = -1; give a loop without this pole"
         ) from None
     return Gain(mapped, mapped_frequency(low, loop.dt), mapped_frequency(high, loop.dt))
 

@@ -154,12 +154,12 @@ class LmiProof:
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
     """Returns why an inequality does not count as proved."""
     if np.isnan(definiteness.smallest):
-        return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
+        return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
-        return f"{false}: balanced, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
+        return f"{false}: after balancing, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
     needed = f"{'above' if sign > 0 else 'below'} {magnitude(sign * definiteness.rounding)}"
     smallest = f"{sign * definiteness.smallest:.1e}"
-    return f"{open_}: balanced, its {which} eigenvalue is {smallest}, and must be {needed} to be beyond rounding"
+    return f"{open_}: after balancing, its {which} eigenvalue is {smallest}; a proof needs a value {needed}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -261,17 +261,17 @@ class Certificate(Shown):
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
             remarks.append(
-                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {magnitude(rate / self.speed)} of the "
-                "plant's speed; weight the signal that it moves, or measure it"
+                f"the loop is hardly stable: a pole decays at only {rate:.2g} 1/s, {magnitude(rate / self.speed)} times the "
+                "typical rate of the plant; weight or measure the signal that this pole moves"
             )
         if self.beyond_actuators:
             than = (
-                "the plant's fastest without control"
+                "the fastest pole of the plant without control"
                 if self.moves
-                else "the rate at which motion and force have equal weight in z, as all poles of the plant lie at 0"
+                else "the rate at which motion and force have equal weight in z (all poles of the plant are at 0)"
             )
             remarks.append(
-                f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much"
+                f"too fast for actuators: a pole is {self.speed_up:.2g} times as fast as {than}; the limit is {FASTEST:g}"
             )
         return tuple(remarks)
 
@@ -283,16 +283,16 @@ class Certificate(Shown):
             failures.append(self.stability.words)
         elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
             failures.append(
-                f"rounding may have changed the norm by {magnitude(self.norm.rounding)}: the loop is too near marginal for floats"
+                f"rounding may change the norm by {magnitude(self.norm.rounding)}: the loop is too close to marginal stability"
             )
         elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
-            failures.append(f"the two routes to the norm differ by {magnitude(self.norm.gap)}")
+            failures.append(f"two independent computations of the norm differ by {magnitude(self.norm.gap)} of its value")
         if self.proof is not None:
             failures += self.proof.failures
             if self.norm.value > self.proof.bound:
                 failures.append(f"the norm {digits(self.norm.value)} exceeds the bound {digits(self.proof.bound)}")
         if self.gap is not None and self.gap < -BELOW:
-            failures.append(f"the norm {digits(self.norm.value)} lies below the lower bound {digits(self.lower_bound)}")
+            failures.append(f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}")
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
@@ -340,7 +340,7 @@ def certify(
     """
     check_states(len(plant.A))
     if X is not None:
-        check_shape("X", X, plant.A.shape, "as the plant has so many states")
+        check_shape("X", X, plant.A.shape, "a row and a column for each state of the plant")
     loop = plant.closed_loop(G)
     base = by_itself or plant
     loop_stability, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
@@ -378,8 +378,8 @@ def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: flo
         negative = -bounded_real_exactly(plant, G, X, eta)
     except OverflowError:
         raise InputError(
-            f"eta = {eta:g} with an X of size {np.abs(X).max(initial=0.0):g} is out of range, and proves no bound; give an eta "
-            f"from {SMALLEST:g} to {1 / SMALLEST:g} and no larger entry of X"
+            f"eta = {eta:g} or the largest entry of X, {np.abs(X).max(initial=0.0):g}, is out of range; give an eta from "
+            f"{SMALLEST:g} to {1 / SMALLEST:g}, and entries of X of at most {1 / SMALLEST:g}"
         ) from None
     return LmiProof(X, eta, definiteness(X), definiteness(negative))
 

@@ -65,7 +65,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
     loop = plant.closed_loop(G)
     loop_stability = stability(loop.A)
     if not loop_stability.stable:
-        raise DesignError(f"no peak is bounded: the loop is {loop_stability.words}; stabilise it first")
+        raise DesignError(f"no bound on the peaks exists, because the loop is {loop_stability.words}; stabilise the loop first")
     A, scale = balance(loop.A)
     Bw = loop.Bw / scale[:, None]
     rows = (Cs + Ds @ (G.K @ G.Cy if isinstance(G, Feedback) else G)) * scale
@@ -80,7 +80,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
             peaks = np.sqrt(np.maximum(np.diag(covariance), 0.0))
             return EnergyPeaks(peaks, float(np.linalg.eigvalsh(covariance)[-1]) ** 0.5, bounds, together, proof)
     raise DesignError(
-        f"rounding prevents a proof of the peaks: the loop is {loop_stability.words}, too near to marginal for floats"
+        f"the bounds on the peaks are not proved: the loop is {loop_stability.words}, too close to marginal stability"
     )
 
 

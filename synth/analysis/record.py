@@ -81,7 +81,7 @@ def read_proof(
         if key not in CLAIMS + PROOFS:
             raise InputError(f"unknown key {key!r} in a certificate; known: {listing(CLAIMS + PROOFS)}")
         if record[key] is None:
-            raise InputError(f"{key} in a certificate is null; a missing value is left out, so save it again")
+            raise InputError(f"{key} in a certificate is null; delete this key, or save the controller again")
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND):
         _number(record, key)
@@ -89,12 +89,12 @@ def read_proof(
     if X is not None:
         if not np.all(np.diagonal(X) >= SMALLEST):
             raise InputError(
-                f"X = {quoted(record['X'])} in a certificate is not positive definite: no entry of its diagonal may be "
-                f"below {SMALLEST:g}"
+                f"X = {quoted(record['X'])} in a certificate is not positive definite, because a diagonal entry is below "
+                f"{SMALLEST:g}; save the controller again"
             )
         size = np.sqrt(np.abs(np.diagonal(X)))
         if np.any(np.abs(X - X.T) > SAME * np.outer(size, size)):
-            raise InputError("X in a certificate is not symmetric; save it again")
+            raise InputError("X in a certificate is not symmetric; save the controller again")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
     lower_bound = _proved(record, plant, Cy, Dyw)
@@ -134,7 +134,7 @@ def _proved(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, Dyw: 
         try:
             proved = prove_lower_bound(plant, state, Cy, observer, Dyw)
         except ValueError as error:
-            raise InputError(f"a certificate does not fit the vehicle: {error}; save it again") from error
+            raise InputError(f"a certificate does not fit the vehicle: {error}; save the controller again") from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
     return lower_bound
 
@@ -144,12 +144,12 @@ def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[st
     true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:
-        wrong.append(f"the bound is claimed to be {exactly(_number(record, 'bound'))} without its proof: there is no X")
+        wrong.append(f"the certificate claims the bound {exactly(_number(record, 'bound'))}, but contains no X to prove it")
     if certificate.proof is None and "X" in record:
-        wrong.append("there is an X and no bound that it proves")
+        wrong.append("the certificate contains an X, but no bound that it proves")
     peak = _number(record, "peak_frequency")
     if peak is not None and not certificate.peaks_at(peak):
-        wrong.append(f"the norm is claimed to be reached at {exactly(peak)} rad/s, and is not")
+        wrong.append(f"the certificate claims that the norm is reached at {exactly(peak)} rad/s, but it is not reached there")
     for claim in ("norm", "bound", "lower_bound"):
         claimed, true = _number(record, claim), true_record.get(claim)
         if claimed is None or (claim == "bound" and certificate.proof is None):
@@ -158,7 +158,7 @@ def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[st
         allowed = certificate.norm_rounding if zero_norm else SAME * claimed
         if true is None or not abs(true - claimed) <= allowed:
             truth = exactly(true) if true is not None else "infinite" if claim == "norm" else "unproved"
-            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {exactly(claimed)}, and is {truth}")
+            wrong.append(f"the certificate claims that the {claim.replace('_', ' ')} is {exactly(claimed)}, but it is {truth}")
     return wrong
 
 
@@ -170,7 +170,7 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     zero = key in MAY_BE_ZERO and number and value == 0
     if not number or not (zero or SMALLEST <= value <= LARGEST):
         raise InputError(
-            f"{key} = {quoted(value)} in a certificate is not a number from {SMALLEST:g} to {LARGEST:g}; save it again"
+            f"{key} = {quoted(value)} in a certificate must be from {SMALLEST:g} to {LARGEST:g}; save the controller again"
         )
     return float(value)
 
@@ -186,7 +186,7 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
     if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""
         raise InputError(
-            f"{key} = {quoted(value)} in a certificate is not a matrix of finite numbers{expected}, none beyond {LARGEST:g}"
+            f"{key} = {quoted(value)} in a certificate is not a matrix{expected} of finite numbers up to {LARGEST:g}"
         )
     return matrix
 
@@ -202,8 +202,8 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
         fits, of_z, of_y = False, (), ()
     if not fits:
         raise InputError(
-            f"zeros = {quoted(value)} in a certificate are not two lists of pairs of finite numbers, of a real and an imaginary "
-            "part; save it again"
+            f"zeros = {quoted(value)} in a certificate is not two lists of [real, imaginary] pairs of finite numbers; save the "
+            "controller again"
         )
     return of_z, of_y
 
@@ -216,5 +216,5 @@ def _dual_certificate(record: Mapping[str, Any], key: str) -> DualCertificate | 
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(f"{key} = {quoted(value)} in a certificate is not a table with a square X and an eta; save it again")
+        raise InputError(f"{key} = {quoted(value)} in a certificate must have a square X and an eta; save the controller again")
     return DualCertificate(X, eta)

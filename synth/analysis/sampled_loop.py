@@ -224,12 +224,12 @@ class SampledLoop(Checked):
         super().__post_init__()
         (n, m), k = self.plant.B.shape, len(self.A_register)
         check_states(n)
-        check_shape("K", self.K, (m, n + k), f"as the plant has n = {n} and m = {m}, and A_register says k = {k}")
-        check_shape("A_register", self.A_register, (k, n + k), f"as the plant has n = {n} states")
-        check_shape("B_register", self.B_register, (k, m), f"as the plant has m = {m} inputs")
+        check_shape("K", self.K, (m, n + k), f"as the plant has {n} states and {m} inputs, and A_register has {k} rows")
+        check_shape("A_register", self.A_register, (k, n + k), f"as A_register has {k} rows and the plant has {n} states")
+        check_shape("B_register", self.B_register, (k, m), f"as A_register has {k} rows and the plant has {m} inputs")
         if self.noise is not None:
             expected = (m + k, self.noise.shape[1])
-            check_shape("noise", self.noise, expected, f"as the plant has m = {m} inputs, and A_register says k = {k}")
+            check_shape("noise", self.noise, expected, f"one row for each of the {m} inputs and the {k} rows of A_register")
 
     @classmethod
     @at_the_door
@@ -249,8 +249,8 @@ class SampledLoop(Checked):
             InputError: a matrix does not fit the plant.
         """
         (n, m), q = plant.B.shape, len(Cy)
-        check_shape("Cy", Cy, (q, n), f"as the plant has n = {n} states")
-        check_shape("K", K, (m, q), f"as the plant has m = {m} inputs, and Cy q = {q} rows")
+        check_shape("Cy", Cy, (q, n), f"one column for each of the {n} states of the plant")
+        check_shape("K", K, (m, q), f"as the plant has {m} inputs, and Cy has {q} rows")
         return cls(plant, hold_intervals(sample_period, delay), K @ Cy, np.zeros((0, n)), np.zeros((0, m)))
 
     @property

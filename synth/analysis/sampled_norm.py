@@ -236,7 +236,7 @@ class _Search:
                 angle = np.nan if inside else angle
                 return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside)
             angle, level, below = higher, upper, upper
-        raise ArithmeticError("the level sets of a sampled loop do not close in on its norm")
+        raise ArithmeticError("the search for the norm of the sampled-data loop did not converge")
 
     def _at(self, level: float) -> _Level | None:
         lifted_loop = lifted(self.loop.plant, self.loop.acting, level)
@@ -250,7 +250,7 @@ class _Search:
             if there is not None:
                 return level, below, there
             below, level = level, 2 * level
-        raise ArithmeticError("no level exceeds the gain within a period")
+        raise ArithmeticError("the gain of the sampled-data loop within one period has no bound that was found")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
         """Returns the largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
@@ -295,4 +295,4 @@ class _Search:
             level = math.exp(min(at + move, at + 1.0)) if math.isfinite(move) else math.nan
             if not below < level < above:
                 level = 2 * below if math.isinf(above) else math.sqrt(below * above) if below else above / 4
-        raise ArithmeticError(f"no level has the gain 1 at {angle:g} rad per sample")
+        raise ArithmeticError(f"the search for the norm of the sampled-data loop did not converge at {angle:g} rad per sample")

@@ -48,14 +48,14 @@ class Specification:
     def text(self) -> str:
         """The specification on one line."""
         unit = f" {self.unit}" if self.unit else ""
-        proved = "" if self.proved is None else f", proved to be at most {digits(self.proved)}{unit}"
+        proved = "" if self.proved is None else f", which is proved to be at most {digits(self.proved)}{unit}"
         if self.proved == math.inf:
-            proved = ", no bound proved"
+            proved = ", but no bound is proved"
         elif self.proved is not None and digits(self.proved) == digits(self.value):
             proved = ", proved"
         allowed = "" if self.at_most is None else f"; at most {digits(self.at_most)}{unit} is allowed"
         where = f" ({self.where})" if self.where else ""
-        return f"{self.what} {digits(self.value)}{unit}{where}{proved}{allowed}"
+        return f"{self.what} is {digits(self.value)}{unit}{where}{proved}{allowed}"
 
     @property
     def record(self) -> dict[str, Any]:

@@ -87,14 +87,14 @@ class Stability:
             if self.verdict == STABLE:
                 return f"stable, slowest pole at {where}"
             if self.verdict == MARGINAL:
-                return f"marginal: a pole at {where} lies on the unit circle, to rounding, and does not decay"
+                return f"marginal: a pole at {where} is on the unit circle (within rounding) and does not decay"
             return f"unstable: a pole at {where}"
         if self.verdict == STABLE:
             return f"stable, slowest pole {rough(self.worst.real)} 1/s"
         if self.verdict == MARGINAL:
             at = abs(self.worst.imag)
             where = f"0+{rough(at)}j" if at > self.rounding else "0"
-            return f"marginal: a pole at {where} rad/s, to rounding, which does not decay"
+            return f"marginal: a pole at {where} rad/s does not decay (within rounding)"
         return f"unstable: a pole at {pole_text(self.worst)}"
 
 
@@ -308,14 +308,14 @@ def stabilisability_failures(plant: GeneralizedPlant, Cy: Array | None, states: 
     names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt
     plant = own.into(plant.differences)
     reasons = [
-        f"the plant cannot be stabilised: no input reaches the mode at {pole_text(pole, dt)}, which does not decay and shows "
-        f"most in {largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
+        f"the plant cannot be stabilised: no input acts on the mode at {pole_text(pole, dt)}, which does not decay and appears "
+        f"most in {largest(vector, names)}; add an actuator that acts on this mode, or remove the mode from the model"
         for pole, vector in uncontrollable_modes(plant.A, plant.B, dt)
     ]
     if Cy is not None:
         reasons += [
-            f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {pole_text(pole, dt)}, "
-            f"which does not decay and moves most in {largest(vector, names)}; measure a signal that it appears in"
+            f"the plant cannot be stabilised with these measurements: none of them contains the mode at {pole_text(pole, dt)}, "
+            f"which does not decay and appears most in {largest(vector, names)}; measure a signal that contains this mode"
             for pole, vector in uncontrollable_modes(plant.A.T, (Cy * own.states).T, dt)
         ]
     return reasons
@@ -335,11 +335,11 @@ def static_feedback_obstructions(plant: GeneralizedPlant, Cy: Array) -> list[str
         return []
     A, B = plant.differences.A, plant.differences.B
     diagonal, mode = np.diagonal(A), pole_text(where.worst, plant.dt)
-    stays = f"{rough(diagonal.sum())} 1/s" if plant.dt is None else f"{rough(np.trace(plant.A))}, and their number is {len(A)}"
+    stays = f"{rough(diagonal.sum())} 1/s" if plant.dt is None else f"{rough(np.trace(plant.A))} (of {len(A)} poles)"
     if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
         return [
-            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: no force acts at once on "
-            f"a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure one it acts on at once, as a velocity"
+            f"no static gain on these measurements stabilises the plant, whose mode at {mode} does not decay: no force acts "
+            f"directly on the rate of a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure a velocity"
         ]
     if np.linalg.cond(balance(A)[0]) * ZERO > 1:
         return []
@@ -348,8 +348,8 @@ def static_feedback_obstructions(plant: GeneralizedPlant, Cy: Array) -> list[str
     silent = np.all(np.abs(Cy @ inverse @ B) <= ZERO * (np.abs(Cy) @ np.abs(inverse) @ np.abs(B)))
     if silent and np.linalg.slogdet(-A)[0] < 0:
         return [
-            f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: a constant force leaves "
-            f"what is measured at zero (C_y {inverted}^-1 B = 0), so one pole stays real and {above}; measure a position"
+            f"no static gain on these measurements stabilises the plant, whose mode at {mode} does not decay: a constant force "
+            f"leaves all measurements zero (C_y {inverted}^-1 B = 0), so one pole stays real and {above}; measure a position"
         ]
     return []
 
