@@ -54,7 +54,7 @@ class BandNorm:
         if not np.isfinite(self.value):
             return f"norm from {band}: infinite, as a pole at {rough(self.peak_frequency)} rad/s does not decay"
         text = f"norm from {band}: at most {digits(self.value)}, reached at {self.peak_frequency:.5g} rad/s"
-        return text if self.stability.stable else f"{text}, but the loop is {self.stability.words}"
+        return text if self.stability.stable else f"{text}, but no sinusoid settles: the loop is {self.stability.words}"
 
 
 @numerics()

@@ -26,7 +26,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]
     if not gains:
-        raise InputError(f"{vehicle.source} holds no controller with a gain or law to check; write one with --save")
+        raise InputError(f"{vehicle.source} contains no gain or law to check; design a controller and save it with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
             raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {listing(gains)}")
@@ -49,13 +49,13 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures = (*failures_of_sampled_loop(designer.vehicle, certificate, failures, norm), *why)
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
-    note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
-    note = note or ("its certificate does not hold" if entry.certificate else "the file has no certificate for it")
+    note = "checked: every claim of the saved certificate holds" if entry.certificate and not failures else ""
+    note = note or ("its saved certificate does not hold" if entry.certificate else "the file has no certificate for it")
     said = (*judged_lines(controller), *controller.remarks, *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
 
 
-UNPROVED = "no bound is proved: rounding leaves no X that satisfies LMI (20) near its norm"
+UNPROVED = "no bound is proved, because rounding leaves no X that satisfies LMI (20) near the norm"
 
 
 def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
@@ -67,4 +67,4 @@ def proved(designer: Designer, controller: Controller) -> tuple[Controller, tupl
     certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)
     if certified.bound is None:
         return controller, (UNPROVED,)
-    return replace(controller, certificate=certified), ("its law is from the file; its bound is proved here",)
+    return replace(controller, certificate=certified), ("the law is from the vehicle file, and its bound is proved here",)

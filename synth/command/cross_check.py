@@ -60,11 +60,11 @@ class CrossCheck:
     @property
     def failures(self) -> tuple[str, ...]:
         """The disagreements, in words."""
-        failed, theirs = [], f"Clarabel's optimum of {self.problem}, {BOUND.digits(self.theirs)}"
+        failed, theirs = [], f"Clarabel's optimal gamma of problem {self.problem}, {BOUND.digits(self.theirs)}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
-            failed.append(f"{theirs}, differs from ours, {BOUND.digits(self.ours)}")
+            failed.append(f"{theirs}, differs from the optimal gamma of this design, {BOUND.digits(self.ours)}")
         if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
-            failed.append(f"our gain attains {BOUND.digits(self.attained)}, not {theirs}")
+            failed.append(f"with Clarabel the designed gain attains gamma {BOUND.digits(self.attained)}, not {theirs}")
         return tuple(failed)
 
     @property
@@ -72,8 +72,8 @@ class CrossCheck:
         """The result in words."""
         if self.theirs is None:
             return f"no cross-check: {self.said}"
-        text = f"Clarabel's optimum of {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} off ours"
-        attained = f"our gain attains it within {SHARE.digits(abs(self.above))}" if self.above is not None else ""
+        text = f"Clarabel's gamma for {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} from this design"
+        attained = f"the designed gain attains it within {SHARE.digits(abs(self.above))}" if self.above is not None else ""
         return "; ".join(filter(None, (text, attained, self.said)))
 
 
@@ -130,13 +130,13 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     optima: list[float | None] = [None, None]
     remarks = []
     for i, gain in enumerate((None, K @ scaling[a:, a:] / input_unit)):
-        what = "" if gain is None else " with our gain"
+        what = "" if gain is None else " with the designed gain"
         try:
             solved = solve_lmi(plant, eye[:, :a], eye[:, a:], gain)
         except DesignError as error:
-            remarks.append(f"{which}{what}: {error}")
+            remarks.append(f"problem {which}{what}: {error}")
             continue
         optima[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
-            remarks.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
+            remarks.append(f"for problem {which}{what} Clarabel reports {solved.status!r}")
     return CrossCheck(which, bound / (1 + steps.optimum_gap), steps.optimum_gap, optima[0], optima[1], "; ".join(remarks))

@@ -29,7 +29,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
-FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
+FREE = "limits for every controller"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
 ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer replaces gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
@@ -95,7 +95,7 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
     else:
         rows = [_designed(designer, name, options, stage, alone=len(names) == 1) for name in names]
     if options.cross_check and not any(row.witness or row.controller is None for row in rows):
-        raise InputError("--cross-check has nothing to solve: no requested controller comes from an LMI problem without filters")
+        raise InputError("--cross-check needs a design by LMI (22) or (25) without filters; give one, or omit --cross-check")
     stage(FREE)
     flat = {} if options.check else _flatness(designer, rows)
     rows = tuple(_finished(vehicle, row, options.fragility) for row in rows)
@@ -129,7 +129,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         return _refined_row(designer, name, options.zero_l)
     try:
         controller = designer.design(
-            name, options.zero_l, lambda goal, within: stage(f"{NORM.digits(goal)}{'' if within else ', not within all bounds'}")
+            name, options.zero_l, lambda goal, within: stage(f"goal {NORM.digits(goal)}{'' if within else ', bounds not met'}")
         )
     except DesignError as error:
         return Row(name, None, (), (str(error),))
@@ -159,10 +159,10 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
         try:
             controller = designer.design(name, zero_l)
         except DesignError:
-            return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
+            return Row(name, None, (), ("the two-step method finds no gain", f"not refined: {error}"))
         not_refined = f"not refined: {str(error).removeprefix(f'controller {name!r}: ')}"
         return Row(name, controller, (*notes_on(controller), not_refined), controller.failures, answers=(not_refined,))
-    said = notes_on(refined.start) if refined.start is not None else ("the two steps find no gain",)
+    said = notes_on(refined.start) if refined.start is not None else ("the two-step method finds no gain",)
     judged, traded = designer.judged(refined.controller), refined.traded.partition(";")[0]
     return Row(name, judged, (*said, *judged.remarks, refined.traded), judged.failures, answers=(traded,), refined=True)
 
@@ -243,7 +243,7 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
 
         files += left_out_lines([row.name for row in designs.rows if row.controller is not None and row.controller.preview])
     if options.picture and not outputs["picture"]:
-        files += ["no picture: no loop is stable"]
+        files += ["no picture is written, because no loop is stable"]
     title, end = titled(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
     lines = screen_lines(document(designs, options), full, [*title, *files, *end])
     return [*title, *lines, *(_refine_command(designs.rows, options) if full else []), *files, *end]
@@ -267,11 +267,11 @@ def document(designs: Designs, options: Namespace) -> Document:
     if not asked:
         blocks += _rides(designs)
         shares = ", ".join(f"{as_name(row.name)} by at least {_at_least(row.worth)}" for row in rows if row.worth)
-        blocks += notes(f"--refine lowers the norms: {shares}.") if shares else ()
+        blocks += notes(f"--refine can lower these norms: {shares}.") if shares else ()
     unnamed = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
     if unnamed and not (options.controller or options.check):
         names = ", ".join(map(as_name, unnamed))
-        blocks += notes(f"Linear analysis does not apply to {names}; sim.drive and sim.campaign run them.")
+        blocks += notes(f"Linear analysis does not apply to {names}. Simulate them with sim.drive or sim.campaign.")
     return Document("", (*blocks, proofs(rows), *_flat(designs), *([] if options.verbose else notes(MORE))))
 
 
@@ -284,12 +284,12 @@ def _rides(designs: Designs) -> list[Statement]:
     changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
-    given = ", all forces given" if designs.vehicle.dampers else ""
-    loop = f"Ride of the ideal loop, class {ROAD_CLASS}, {SPEED:g} m/s{given}"
+    given = ", if dampers give every force" if designs.vehicle.dampers else ""
+    loop = f"Ride (weighted rms acceleration) of the ideal loop, road class {ROAD_CLASS} at {SPEED:g} m/s{given}"
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
     if worse:
-        said.append(f"Ride WORSE than passive: {', '.join(worse)}; the norm does not measure comfort alone.")
+        said.append(f"The ride is WORSE than passive: {', '.join(worse)}. A small norm alone does not make a car comfortable.")
     return [*notes(*said, detail="brief")]
 
 
@@ -320,7 +320,7 @@ def _flat(designs: Designs) -> list[Statement | Table]:
     if not designs.flat:
         return []
     of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
-    text = f"For {percent(FLAT)} more of {of}, each state's largest feedback gain may move alone:"
+    text = f"Each of these feedback gains may change alone by so much before {of} rises by {percent(FLAT)}:"
     return [*notes(text, detail="full"), Table.of("flat", text, MOVES, designs.flat.items(), detail="full")]
 
 
@@ -331,7 +331,7 @@ def verdict(rows: Sequence[Row]) -> Statement:
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text
     judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
     lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
-    text += f"; UNSTABLE as the computer runs it: {', '.join(lost)}" if lost else ""
+    text += f"; UNSTABLE with its sample period and delay: {', '.join(lost)}" if lost else ""
     grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
-    text += f"; a law UNSTABLE by itself: {', '.join(grow)}" if grow else ""
+    text += f"; law UNSTABLE even without the vehicle: {', '.join(grow)}" if grow else ""
     return Statement(text, "fails" if wrong else "holds", "brief")

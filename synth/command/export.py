@@ -87,7 +87,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
         "numbers": options.numbers,
         "files": [*texts],
     }, [
-        f"controller {law.controller} as C99 in {options.numbers}, with the prefix {law.name}",
+        f"controller {law.controller} as C99 code with {options.numbers} numbers; its names begin with {law.name}",
         *(f"  {path}" for path in texts),
         "",
         f"written to {folder}; its README.md shows how to call the code, and python -m synth --check {folder} verifies the files",
@@ -99,7 +99,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers is for code, but a file for MATLAB has double numbers; omit it")
+        raise InputError("--numbers is for C code, but a MATLAB file always has double numbers; omit --numbers")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
@@ -107,9 +107,9 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
     other = [name for name in names if name not in linear]
     if other:
-        raise InputError(f"controller {other[0]!r} has no matrices; a file for MATLAB takes linear ones: {listing(linear)}")
+        raise InputError(f"controller {other[0]!r} has no matrices for a MATLAB file; give a linear one: {listing(linear)}")
     if not names:
-        raise InputError(f"{vehicle.source} has no linear controller; a file for MATLAB needs one")
+        raise InputError(f"{vehicle.source} contains no linear controller for a MATLAB file; add a controller to it")
     designer = Designer(vehicle, search=False)
     controllers: list[Controller] = [designer.design(name) for name in names]
     file: Path = options.export
@@ -121,15 +121,15 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
             part.write_text(script(file.name, vehicle, controllers), encoding="utf-8", newline="\n")
     structs = struct_names(controllers)
     return {"files": [str(file), str(beside)], "structs": structs}, [
-        f"{file}: a struct for each controller, and the struct vehicle with the plant",
+        f"{file}: one struct for each controller, and the struct vehicle with the plant",
         *(
-            f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
+            f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, measures {', '.join(one.measured)}; "
             f"norm {NORM.cell(one.certificate)}"
             for one in controllers
         ),
         *left_out_lines(left_out),
         "",
-        f"{beside}: a MATLAB script that makes ss objects of them",
+        f"{beside}: a MATLAB script that makes an ss object from each struct",
     ]
 
 
@@ -138,7 +138,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.fmu import fmu
 
     if options.part != "controller" and "numbers" in options.given:
-        raise InputError(f"--numbers is for a controller's code, and --part {options.part} has linear equations; omit it")
+        raise InputError(f"--numbers is for C code, but --part {options.part} contains linear equations; omit --numbers")
     parts = {"controller": _controller, "vehicle": _vehicle, "loop": _loop}
     model, resources, about = parts[options.part](vehicle, options)
     with whole_file(options.export, "export") as beside:
@@ -169,7 +169,7 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and do
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns a controller as the content of an FMU, with the exported folder as its resources."""
     if options.numbers not in ("double", "float"):
-        raise InputError(f"the variables of an FMU must be floating point, but {options.numbers} is not; give double or float")
+        raise InputError(f"an FMU cannot have {options.numbers} numbers: its variables are floating point; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
 
@@ -184,7 +184,7 @@ def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
 
 def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the linear vehicle with a controller as the content of an FMU."""
-    name, saved, own = _one(vehicle, options, vehicle.linear_names, "--part loop closes one loop")
+    name, saved, own = _one(vehicle, options, vehicle.linear_names, "--part loop exports the loop of one controller")
     controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
     identifier = f"{c_name(kind)}_{c_name(name)}"
     title = f"{kind}, linear, with controller {own} in continuous time"
@@ -197,9 +197,9 @@ def _about(model: FmuModel) -> str:
     named = [("input", one) for one in model.inputs] + [("output", one) for one in model.outputs]
     rows = "".join(f"{what:7} {one.name} [{one.unit}]: {one.meaning}\n" for what, one in named)
     return (
-        f"{model.title}\n\n{rows}\nAll is measured from static equilibrium, upwards positive. Springs, dampers and tyres are\n"
-        "linear, whatever curves or stops the vehicle file has. In co-simulation inputs are held over a step, and the step is\n"
-        f"exact for that. {VEHICLE} in resources is the vehicle.\n"
+        f"{model.title}\n\n{rows}\nAll signals are measured from static equilibrium, and upwards is positive. Springs, dampers "
+        "and\ntyres are linear: curves and stops of the vehicle file are ignored. In co-simulation the inputs are constant "
+        f"during a\nstep, and the step is exact for such inputs. {VEHICLE} in resources is the vehicle file.\n"
     )
 
 
@@ -208,8 +208,8 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     entry = vehicle.controllers.get(name)
     if vehicle.driven_by(name) is not vehicle:
         raise InputError(
-            f"--export: {name!r} drives force actuators, but the file has semi-active dampers; export it from a file without "
-            "[actuators]"
+            f"--export: {name!r} commands force actuators, but the vehicle file has semi-active dampers; export {name!r} from a "
+            "file without [actuators]"
         )
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
         return vehicle, name
@@ -232,7 +232,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     for text in given:
         name, _, number = text.partition("=")
         if name in ranges:
-            raise InputError(f"--range {text}: {name} has a range already; give it once")
+            raise InputError(f"--range {text}: the range of {name} is given twice; give it once")
         try:
             ranges[name] = float(number)
         except ValueError:
@@ -258,13 +258,13 @@ def check_folder(folder: Path, options: Namespace) -> int:
     claims = _claims(vehicle, name)
     ran, same = _back_to_back(folder, prefix) if not failures else ("the code was not run", True)
     failures += [] if same else [ran]
-    verdict = f"NOT AS EXPORTED: {'; '.join(failures)}" if failures else "nothing is changed"
+    verdict = f"NOT AS EXPORTED: {'; '.join(failures)}" if failures else "all files are as exported"
     verdict += "" if isinstance(claims, str) else f"; ITS CLAIMS FAIL: {'; '.join(claims)}"
     failures += [] if isinstance(claims, str) else claims
     if options.json:
         print(json.dumps({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran}))
     else:
-        claimed = claims if isinstance(claims, str) else "its claims do not hold"
+        claimed = claims if isinstance(claims, str) else "claims of the certificate do not hold"
         say([f"controller {name} as C99 in {law.numbers}", f"  {claimed}", f"  {ran}", "", verdict])
     return 1 if failures else 0
 
@@ -293,4 +293,4 @@ def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
             return f"the compiler {Path(command[0]).name} rejects the code: {why}", False
         ran = subprocess.run([program, str(folder / "test" / "vectors.csv")], capture_output=True, text=True, check=False)
     said = ran.stdout.strip() or "the code crashed"
-    return f"back to back: {said}", ran.returncode == 0
+    return f"back-to-back test: {said}", ran.returncode == 0

@@ -15,7 +15,7 @@ AXES_HELP = (
 )
 
 ALONE = {  # what an option does, and the options that it can be combined with
-    "check": ("verifies the claims of its own file and designs nothing", ("controller", "picture")),
+    "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),
     "export": ("writes one controller", ("controller", "vehicle", "numbers", "range", "part", "fmi")),
@@ -52,25 +52,25 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):
-        why = "--check designs nothing" if options.check else "--refine leaves their optima"
+        why = "--check designs nothing" if options.check else "--refine moves the gain away from their optima"
         raise InputError(f"--cross-check solves the LMI problems of designs again, and {why}; omit one of them")
     given = options.given | ({"range"} if options.ranges else set())
     for name, (does, others) in ALONE.items():
         if name in given and given - {name, "json", "verbose", *others}:
             listed = ", ".join(f"--{other}" for other in others)
-            raise InputError(f"--{name} {does}; it can be combined with {listed} and --json only")
+            raise InputError(f"--{name} {does}; combine it only with {listed} and --json")
     export, front = options.export is not None, options.front is not None
     fmu = export and options.export.suffix.lower() == ".fmu"
     for name, possible, why in (
-        ("range", options.numbers in ("int32", "int16"), "--range is for integers; give --export with --numbers int32 or int16"),
-        ("numbers", export, "--numbers is for the code of --export; name its folder with --export"),
-        ("part", fmu, "--part is for an FMU; name its file with --export FILE.fmu"),
-        ("fmi", fmu, "--fmi is for an FMU; name its file with --export FILE.fmu"),
-        ("csv", front, "--csv is for the designs of --front; give its axes with --front"),
-        ("point", front, "--point is for the designs of --front; give its axes with --front"),
+        ("range", options.numbers in ("int32", "int16"), "--range is for integer code; add --export --numbers int32 or int16"),
+        ("numbers", export, "--numbers is for exported code; add --export with a folder"),
+        ("part", fmu, "--part is for an FMU; add --export FILE.fmu"),
+        ("fmi", fmu, "--fmi is for an FMU; add --export FILE.fmu"),
+        ("csv", front, "--csv writes the designs of --front; add --front with its axes"),
+        ("point", front, "--point chooses designs of --front; add --front with its axes"),
     ):
         if name in given and not possible:
-            raise InputError(f"{why}, or omit it")
+            raise InputError(f"{why}, or omit --{name}")
     return options
 
 
@@ -85,12 +85,12 @@ def _parser() -> Parser:
     parser.add_argument(
         "--refine",
         action="store_true",
-        help="after the design, lower the norm itself as long as that justifies a larger gain; print the trade-off",
+        help="after the design, lower the norm further, unless the gain grows too much for it; print this trade-off",
     )
     parser.add_argument(
         "--cross-check",
         action="store_true",
-        help="also solve problems (22) and (25) with Clarabel, compare the optima, and check that the gain attains both",
+        help="solve problems (22) and (25) again with solver Clarabel, compare the optima, and check that the gains attain them",
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain as controller NAME_designed"
@@ -99,21 +99,21 @@ def _parser() -> Parser:
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="compute the errors of measurements and forces, in per cent, at which the loop becomes unstable or its norm rises "
-        "by 1 or 10 %%, proved and found; and the effect of rounding the numbers to int16 or float16",
+        help="compute the errors of measurements and forces, in percent, at which the loop becomes unstable or its norm rises "
+        "by 1 or 10 %%: proved limits, found limits, and the effect of rounding the law's numbers to int16 or float16",
     )
     parser.add_argument(
         "--check",
         type=Path,
         metavar="FILE",
-        help="verify the gains of a vehicle file and their certificates, or each file of a folder of --export",
+        help="verify the gains and certificates of a vehicle file, or the files of a folder that --export wrote",
     )
     parser.add_argument(
         "--export",
         type=Path,
         metavar="DIR",
-        help="write one controller to a folder as C99 code with tests, certificate and manifest; FILE.mat writes controllers for "
-        "MATLAB; FILE.fmu writes an FMU, see --part",
+        help="write one controller to a folder as C99 code with tests, certificate and manifest. FILE.mat: write controllers "
+        "for MATLAB. FILE.fmu: write an FMU, see --part",
     )
     parser.add_argument(
         "--part",
@@ -135,7 +135,7 @@ def _parser() -> Parser:
         action="append",
         default=[],
         metavar="SIGNAL=NUMBER",
-        help="largest magnitude of a measured signal [SI], needed for each with int32 or int16, such as sprung_velocity=2",
+        help="largest magnitude of a measured signal [SI unit], such as sprung_velocity=2; needed with int32 or int16",
     )
     parser.add_numbers("--rates", "ms", "compare sample periods: compute the norm of the sampled-data loop for each")
     parser.add_argument("--front", metavar="AXES", help=f"compute about 200 designs between two or three axes: {AXES_HELP}")
@@ -143,10 +143,10 @@ def _parser() -> Parser:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw the responses over frequency with the bands of goals shaded, or the result of --rates or --front (.png, "
-        ".svg or .pdf); needs matplotlib",
+        help="draw the frequency responses with the bands of goals shaded, or the result of --rates or --front (.png, .svg or "
+        ".pdf); needs matplotlib",
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write all designs of --front (.csv)")
-    parser.add_count("--point", "designs of --front that --save writes, by number", "all", 1, MOST_POINTS, many=True)
+    parser.add_count("--point", "numbers of the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
     parser.add_printed("poles, proofs, notes and gains of every controller, and the gains that are not unique")
     return parser

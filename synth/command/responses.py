@@ -33,12 +33,12 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         proved = {one.what: one.proved for one in row.controller.specifications}  # of one vehicle without errors
         for norm in _norms(vehicle, row):
             if np.isfinite(level := proved.get(norm.text) or np.inf):
-                across, name = np.clip(np.array(norm.band), low, high), f"{row.name}, proved in the band"
+                across, name = np.clip(np.array(norm.band), low, high), f"{row.name}: level proved in the band"
                 curves.append(Curve(across, np.full(2, level), "", look.color, "solid", width=2.5, name=name))
-    names = tuple(f"{a:g} to {b:g} Hz, a goal's band" for a, b in bands)
+    names = tuple(f"goal from {a:g} to {b:g} Hz" for a, b in bands)
     title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: largest gain from a sinusoidal road velocity to z; the bands of goals are "
-        "shaded, with a line at the level that is proved there"
+        f"{vehicle.kind.name.replace('_', ' ')}: largest gain from road velocity w to z over frequency; shaded are the "
+        "frequency bands of goals, with a line at the level that is proved in the band"
     )
     panel = Panel(
         "",

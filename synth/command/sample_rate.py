@@ -33,7 +33,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
                 f"--rates {rate:g} ms is not allowed; give sample periods from {1e3 * SHORTEST:g} to {1e3 * LONGEST_PERIOD:g} ms"
             )
         if list(rates).count(rate) > 1:
-            raise InputError(f"--rates {rate:g} ms is given twice; give it once")
+            raise InputError(f"--rates {rate:g} ms is given twice; give each sample period once")
     if len(rates) > MOST:
         raise InputError(f"--rates has {len(rates)} sample periods; give at most {MOST}")
     return sorted(rate / 1e3 for rate in rates)

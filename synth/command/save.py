@@ -24,10 +24,10 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
         InputError: there is nothing to write, a name is taken, or the file could not be read at its place.
     """
     if not names:
-        raise InputError("--save has nothing to write: no controller was designed; choose one without a gain in the vehicle file")
+        raise InputError("--save has nothing to write: no controller is designed; choose one without a gain in the vehicle file")
     for name in names:
         if name + SUFFIX in vehicle.controllers:
-            raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
+            raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove it")
     with_sections(vehicle.text_for(path), [])
 
 
@@ -73,7 +73,7 @@ def saved_text(
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that names controllers with a preview, which are not in a file; none without such controllers."""
-    return [f"  left out: {listing(names)}, with a preview of the road, which this file cannot hold"] if names else []
+    return [f"  left out: {listing(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:

@@ -158,7 +158,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Ge
     )
     blocks += notes(*ideal_lines(vehicle, controllers))
     if not (apart or vehicle.implementation.undelayed):
-        text = "The column sampled is the norm of the sampled-data loop, including the motion between samples"
+        text = "Column 'sampled' is the norm of the sampled-data loop, including the motion between samples"
         blocks += notes(f"{text}: {built_words(vehicle)}.")
     blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle))
     blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
@@ -178,20 +178,20 @@ def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
     At an invariant point z has that norm without control, too.
     """
     if limit.limit_at is None:
-        return "Limit: none. At every frequency control forces can change all of z's response to the road."
-    lowest, where = LOWER_BOUND.digits(limit.gamma), PEAK.text(limit.limit_at)
+        return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
+    lowest, where = f"Limit: no norm is below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
     if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
-        return f"Limit: {lowest} at {where}, for every control force that holds the mode there, which does not decay by itself."
+        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED):
-        return f"Limit: {lowest} at {where}, where no control changes z (invariant point)."
-    return f"Limit: {lowest} at {where}. No control brings z below it there; without control z is {LOWER_BOUND.digits(free)}."
+        return f"{lowest}, because no control force changes z at {where} (invariant point)."
+    return f"{lowest}: control lowers z no further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
 
 
 EXPLANATION = (
-    "LMI (20) proves the bound for the law itself. Two other routes compute the norm. A certificate holds if all poles are "
-    "stable, X > 0, LMI (20) is negative definite and the norm is at most the bound; no solver takes part in this check. No "
-    "controller with the same measurements, of any order, has a norm below the lower bound."
+    "LMI (20) proves the bound of each law. Two other methods compute the norm. A certificate holds if all poles are stable, X "
+    "> 0, LMI (20) is negative definite and the norm is at most the bound. No solver takes part in this check. No controller "
+    "with the same measurements, of any order, has a norm below the lower bound."
 )
 
 
@@ -248,13 +248,13 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
     elif controller.specifications:
         first, *others = controller.specifications
         kept = sum(one.holds for one in others)
-        rest = f"; {kept} of {len(others)} others hold" if others else ""
+        rest = f"; {kept} of {len(others)} other specifications hold" if others else ""
         yield f"{replace(first, where='').text}{rest}"
     elif (gains or row.refined) and controller.designed:
         text = pid_line(controller) if controller.law.states else f"gain {gain_text(controller.law.D)}"
         yield from [text] if text and (controller.law.states or len(text) <= GAIN_WIDTH) else []
     if controller.preview is not None:
-        yield f"answers the road {controller.ahead:g} s ahead, too"
+        yield f"also uses the road {controller.ahead:g} s ahead (preview)"
 
 
 def _requested(row: Row, checked: bool) -> Iterator[str]:
@@ -298,7 +298,7 @@ POLES: tuple[Field[complex], ...] = (
 )
 
 
-INSIDE = "one sample period decides the sampled norm: no controller at this rate has a smaller one"
+INSIDE = "the sampled norm is reached within one sample period: no controller at this rate has a smaller norm"
 
 
 def details(vehicle: Vehicle, row: Row) -> Document:
@@ -324,7 +324,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
 
 def proofs(rows: Sequence[Row]) -> Table:
     """Returns the table of proofs: how far the two routes to the norm differ, and by how much the inequalities hold."""
-    caption = "Distance of the two routes to the norm, and the proved smallest eigenvalues of both inequalities, balanced."
+    caption = "How far the two computations of the norm differ, and the smallest eigenvalue proved of each inequality, balanced."
     return Table.of("proofs", caption, PROOFS, [row for row in rows if row.controller is not None], detail="full")
 
 

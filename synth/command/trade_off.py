@@ -46,7 +46,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     try:
         trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, progress)
         if not trade_off.points:
-            raise DesignError(f"for none of {trade_off.tried} designs, all claims could be proved; give other axes")
+            raise DesignError(f"none of {trade_off.tried} designs has all its claims proved; give other axes")
     except DesignError as error:
         stage.end()
         if options.json:
@@ -71,7 +71,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     else:
         title = titled(vehicle.kind.name, vehicle.source)
         document = replace(describe(trade_off, most=MARKED if options.verbose else SHOWN), title="")
-        some = f"not every claim holds: {trade_off.unproved} designs are omitted"
+        some = f"not every claim holds: {trade_off.unproved} designs without proof are omitted"
         verdict = some if trade_off.unproved else f"every claim holds for {len(trade_off.points)} designs"
         end = [*written_lines(outputs), "", verdict]
         say([*title, *screen_lines(document, options.verbose, [*title, *end]), *end])
@@ -92,7 +92,7 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
     if given is None:
         return usual(vehicle)
     if len(given) > 1:
-        raise InputError(f"--front designs for the measurements of one controller, and {len(given)} are given; give one")
+        raise InputError(f"--front uses the measurements of one controller, but --controller gives {len(given)}; give one")
     return one_chosen(vehicle.controller_names, given[0])
 
 

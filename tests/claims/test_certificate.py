@@ -87,7 +87,7 @@ def test_no_actuator_withholds_a_proof():
     assert certificate.failures == ()
     assert certificate.bound is not None
     assert certificate.speed_up > FASTEST
-    assert "beyond any actuator" in certificate.remarks[0]
+    assert "too fast for actuators" in certificate.remarks[0]
     assert f"{certificate.speed_up:.2g} times" in certificate.remarks[0]
     assert certify_tightly(slow_plant(1.0), np.array([[-3.0, -3.0]])).remarks == ()
 
@@ -102,8 +102,8 @@ def test_a_decay_that_is_none_is_remarked_on(decay, said, unit, dt):
     certificate = certify(plant, np.zeros((1, 2)))
     assert certificate.stable
     assert certificate.hardly_decays == said
-    remarks = [f"stable in numbers alone: a pole decays by {unit * decay:.2g} 1/s, which is 3e-10 of the plant's speed; "]
-    assert [remark.partition("weigh")[0] for remark in certificate.remarks] == remarks * said
+    remarks = [f"the loop is hardly stable: a pole decays at only {unit * decay:.2g} 1/s, 3e-10 times the "]
+    assert [remark.partition("typical")[0] for remark in certificate.remarks] == remarks * said
 
 
 @pytest.mark.parametrize("seed", [1, *attacks([0])])  # the optimum at a finite gain, and at an infinite one

@@ -124,7 +124,7 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
     # Without a damper, forces from a deflection alone conserve energy: no gain stabilises that.
     undamped = VEHICLE.replace("suspension_damping = 400.0", "suspension_damping = 0.0")
     Path("mine.toml").write_text(undamped + '[controllers.mine]\nmeasured = ["suspension_deflection"]\n')
-    with pytest.raises(InputError, match="no gain from what is measured stabilises"):
+    with pytest.raises(InputError, match="no static gain on these measurements stabilises"):
         main(["--controller", "mine", "--vehicle", "mine.toml"])
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.toml"]
 

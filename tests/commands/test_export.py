@@ -224,14 +224,14 @@ def test_a_folder_proves_itself(exported, capsys, tmp_path):
     capsys.readouterr()
     assert main(["--check", str(exported)]) == 0
     said = prose(capsys.readouterr().out)
-    assert "nothing is changed" in said
+    assert "all files are as exported" in said
     assert ("1000 samples, 0 outputs differ" in said) == (COMPILER is not None)
     assert main(["--controller", "II", "--export", str(tmp_path / "two"), "--numbers", "float", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     found = {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()}
     assert found == {*printed["files"]}
     assert main(["--check", str(tmp_path / "two")]) == 0
-    assert "every claim of its certificate holds" in prose(capsys.readouterr().out)
+    assert "every claim of the saved certificate holds" in prose(capsys.readouterr().out)
     assert "`bound` = 7.9" in (tmp_path / "two" / "README.md").read_text()
 
 
@@ -270,7 +270,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "passive"], "unknown controller 'passive'"),
         ("", [], "no controller is given"),
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
-        ("", ["--controller", "I", "--refine"], "it can be combined with --controller"),
+        ("", ["--controller", "I", "--refine"], "combine it only with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
@@ -279,13 +279,13 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
             [*WHOLE, "--range", "sprung_velocity=1e300"],
             "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE",
         ),
-        ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "has a range already; give it once"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "is given twice; give it once"),
         (
             "",
             [*WHOLE, "--range", "sprung_velocity=fast"],
             "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE",
         ),
-        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integers"),
+        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integer code"),
         (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "one does not decay"),
     ],
 )
@@ -349,7 +349,7 @@ def test_nothing_is_overwritten(exported):
     """A folder that holds something is left as it is; --numbers is of --export alone."""
     with pytest.raises(InputError, match="exists and is not empty"):
         main(["--controller", "I", "--export", str(exported)])
-    with pytest.raises(InputError, match="--numbers is for the code"):
+    with pytest.raises(InputError, match="--numbers is for exported code"):
         main(["--controller", "I", "--numbers", "float"])
 
 

@@ -473,7 +473,7 @@ def test_the_same_content_has_the_same_bytes(folder, tmp_path, capsys):
         archive.extractall(folder_of_law)
     capsys.readouterr()
     assert main(["--check", str(folder_of_law / "resources")]) == 0
-    assert "nothing is changed" in prose(capsys.readouterr().out)
+    assert "all files are as exported" in prose(capsys.readouterr().out)
 
 
 def test_parts_of_a_universal_file_are_found():
@@ -519,9 +519,9 @@ def test_which_options_go_together(tmp_path):
         main(["--controller", "I", "--export", str(tmp_path / "ecu"), "--fmi", "3"])
     with refused("--part vehicle contains no controller"):
         main(["--controller", "I", "--part", "vehicle", "--export", file])
-    with refused("--numbers is for a controller's code"):
+    with refused("--numbers is for C code"):
         main(["--part", "vehicle", "--numbers", "float", "--export", file])
-    with refused("the variables of an FMU must be floating point"):
+    with refused("its variables are floating point"):
         main(["--controller", "I", "--numbers", "int16", "--export", file])
     with refused("skyhook"):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])

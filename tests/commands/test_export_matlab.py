@@ -80,7 +80,7 @@ def test_what_is_no_matrix(folder, tmp_path, capsys):
     file = str(tmp_path / "x.mat")
     with refused("skyhook", "no matrices"):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--export", file])
-    with refused("--numbers is for code"):
+    with refused("--numbers is for C code"):
         main(["--export", file, "--numbers", "float"])
     assert not list(tmp_path.iterdir())
     assert main(["--controller", "I_printed", "--export", file, "--json"]) == 0

@@ -62,7 +62,7 @@ def test_a_line_stays_one_line(monkeypatch, capsys):
     ("line", "stages"),
     [
         ("sim.envelope --controller I --vary height:0.02:0.1:2 --vary speed:5:20:2 --timestep 4e-3", ["design", "map"]),
-        ("synth --controller I", ["controller I", "what no controller decides"]),
+        ("synth --controller I", ["controller I", "limits for every controller"]),
     ],
 )
 def test_commands_name_their_stages(line, stages, tmp_path, monkeypatch, capsys):

@@ -227,7 +227,7 @@ def test_saved_and_checked(tmp_path, capsys):
     saved.write_text(saved.read_text().replace("500.0]", "400.0]"))
     assert main(["--check", str(saved), "--controller", "II_designed"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "the norm is claimed to be" in said
+    assert "claims that the norm is" in said
     assert (
         "norms are of control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1); "
         "poles of filters are in every loop and independent of control, and are not listed"
@@ -299,7 +299,7 @@ def test_no_second_witness_with_filters(tmp_path):
     """Clarabel is off on (25) with filters, and does not say so: `--cross-check` says in one line that it asks it nothing."""
     file = tmp_path / "felt.toml"
     file.write_text(file_with(WK))
-    with pytest.raises(InputError, match="comes from an LMI problem without filters"):
+    with pytest.raises(InputError, match=r"needs a design by LMI \(22\) or \(25\) without filters"):
         main(["--vehicle", str(file), "--controller", "II", "--cross-check"])
 
 

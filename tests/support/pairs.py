@@ -182,7 +182,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "is not stable at a timestep of",
     "unknown controller 'passive'; give --controller with one of",
     "has no gain, so there is no loop",
-    "cannot be stabilised from what is measured",
+    "cannot be stabilised with these measurements",
     "semi-active dampers and force actuators cannot be exported together",
     "has noise without sample_period",
     "makes a loop that has no frequency response",

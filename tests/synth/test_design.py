@@ -167,19 +167,19 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
 
 CHAIN = np.diag(np.ones(2), 1)
 NO_DESIGN = (  # A, B, C_y, the period, and why
-    ([[1, 0], [0, -1]], [[0], [1]], [[1, 1]], None, r"no input reaches the mode at 1 1/s.*in x1"),
-    ([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]], np.eye(3), None, r"no input reaches the mode at 0\+2j rad/s.*in x1"),
-    ([[1, 0], [0, -1]], [[1], [1]], [[0, 1]], None, r"no measurement shows the mode at 1 1/s.*in x1"),
+    ([[1, 0], [0, -1]], [[0], [1]], [[1, 1]], None, r"no input acts on the mode at 1 1/s.*in x1"),
+    ([[0, 1, 0], [-4, 0, 0], [0, 0, -1]], [[0], [0], [1]], np.eye(3), None, r"no input acts on the mode at 0\+2j rad/s.*in x1"),
+    ([[1, 0], [0, -1]], [[1], [1]], [[0, 1]], None, r"none of them contains the mode at 1 1/s.*in x1"),
     (CHAIN[:2, :2], [[0], [1]], [[1, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
     (CHAIN, [[0], [0], [1]], [[1, 0, 0]], None, r"mode at 0 rad/s does not decay: .*\(C_y B = 0\)"),
     ([[0, 1], [-1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 0\+1j rad/s does not decay: .*C_y B = 0.*all poles stays 0 1/s"),
     ([[0, 1], [1, 0]], [[0], [1]], [[1, 0]], None, r"mode at 1 1/s does not decay: .*C_y B = 0"),
     ([[0, 1], [1, 0]], [[0], [1]], [[0, 1]], None, r"mode at 1 1/s does not decay: .*one pole stays real and above zero"),
-    ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1.2, which does not decay"),
-    ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = -1, which does not decay"),
-    ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input reaches the mode at z = 1, which does not decay"),
-    ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "no measurement shows the mode at z = 1.2, which does not decay"),
-    ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3, and their number is 2"),
+    ([[1.2, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = 1.2, which does not decay"),
+    ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = -1, which does not decay"),
+    ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = 1, which does not decay"),
+    ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "none of them contains the mode at z = 1.2, which does not decay"),
+    ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3 \(of 2 poles\)"),
 )
 
 

@@ -89,5 +89,5 @@ def test_bad_input(designer):
     ]:
         with pytest.raises(InputError, match=said):
             energy_peaks(*arguments)
-    with pytest.raises(DesignError, match=r"no peak is bounded: the loop is unstable: a pole at .*; stabilise it first"):
+    with pytest.raises(DesignError, match=r"no bound .* the loop is unstable: a pole at .*; stabilise the loop first"):
         energy_peaks(plant, np.array([[0.0, 0.0, 1e5, 0.0]]), Cs, Ds)

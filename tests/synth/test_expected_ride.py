@@ -51,7 +51,7 @@ def test_a_worse_ride_is_said(tmp_path, capsys):
     assert rows["I"] < passive < rows["state"]
     assert main(options) == 0
     printed = capsys.readouterr().out
-    assert "Ride WORSE than passive: state; " in prose(printed)
+    assert "The ride is WORSE than passive: state. " in prose(printed)
     assert f"passive {passive:.3g}; state {rows['state']:.3g} (+" in prose(printed)
     assert printed.splitlines()[-1].startswith("every claim holds")
 

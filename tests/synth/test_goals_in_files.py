@@ -206,6 +206,6 @@ def test_the_picture_of_a_band(tmp_path, capsys):
 def test_what_is_not_proved_has_no_bound():
     """A promise without a proved bound, as where a proof was ended early, says so, and is not kept."""
     open_ = Specification("norm", 6.0, proved=np.inf, at_most=7.0)
-    assert open_.text == "norm 6, no bound proved; at most 7 is allowed"
+    assert open_.text == "norm is 6, but no bound is proved; at most 7 is allowed"
     assert (open_.proved_text, open_.holds) == ("not proved", False)
-    assert replace(open_, proved=6.5).text == "norm 6, proved to be at most 6.5; at most 7 is allowed"
+    assert replace(open_, proved=6.5).text == "norm is 6, which is proved to be at most 6.5; at most 7 is allowed"

@@ -179,7 +179,7 @@ def test_refused():
     )  # fmt: skip
     with pytest.raises(DesignError, match="z does not see a mode"):
         lqr_design(beside)
-    with pytest.raises(InfeasibleError, match="no measurement shows the mode at 0"):
+    with pytest.raises(InfeasibleError, match="none of them contains the mode at 0"):
         lqg_design(beside, np.hstack([Cy, np.zeros((len(Cy), 1))]))
     with pytest.raises(InputError, match=r"noise has shape \(3,\); expected"):
         lqg_design(plant, Cy, [0.1] * 3)

@@ -99,7 +99,7 @@ def test_every_command_calls_it_marginal(paper, tmp_path, capsys):
     assert synth(["--vehicle", undamped, "--controller", "passive", "-v"]) == 0
     out = capsys.readouterr().out
     assert re.search("passive +(- +)*MARGINAL", out)
-    assert "marginal: a pole at 0+65.4j rad/s, to rounding, which does not decay" in out
+    assert "marginal: a pole at 0+65.4j rad/s does not decay (within rounding)" in out
     assert synth(["--vehicle", undamped, "--controller", "passive", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert (row["stability"], row["norm"], row["peak_frequency"]) == (MARGINAL, None, None)
@@ -112,7 +112,7 @@ def test_every_command_calls_it_marginal(paper, tmp_path, capsys):
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log), "-v"]) == 0
     out = prose(capsys.readouterr().out)
-    assert "certificate: marginal: a pole at 0+65.4j rad/s, to rounding, which does not decay; as was claimed" in out
+    assert "certificate: marginal: a pole at 0+65.4j rad/s does not decay (within rounding); as was claimed" in out
     drive(
         ["--vehicle", undamped, "--controller", "passive", "--class", "A", "--speed", "10", "--duration", "3", "--no-logs", "-v"]
     )

@@ -181,7 +181,7 @@ def test_what_is_left_out_follows():
         ({"A2": [[0.0]], "A21": [[1.0, 0.0]]}, "z does not see the mode at 0 rad/s, which does not decay and moves most in lag"),
         (
             {"A2": [[0.0]], "A21": [[0.0, 0.0]]},
-            "no input reaches the mode at 0 rad/s, which does not decay and shows most in lag",
+            "no input acts on the mode at 0 rad/s, which does not decay and appears most in lag",
         ),
     ],
 )
@@ -242,9 +242,9 @@ def assert_true(reason: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
     n, m = plant.B.shape
     eye = np.eye(n)
     modes = [pole for pole in np.linalg.eigvals(plant.A) if pole.real > -1e-6]
-    if "no input reaches the mode" in reason:
+    if "no input acts on the mode" in reason:
         assert any(smallest(np.hstack([plant.A - pole * eye, plant.B])) < 1e-7 for pole in modes)
-    elif "no measurement shows the mode" in reason:
+    elif "none of them contains the mode" in reason:
         assert any(smallest(np.vstack([plant.A - pole * eye, Cy])) < 1e-7 for pole in modes)
     elif "costs nothing" in reason:
         assert np.linalg.matrix_rank(plant.D) < m == np.linalg.matrix_rank(np.vstack([plant.B, plant.D]))
@@ -320,7 +320,7 @@ def test_slow_discrete_plants(seed):
             return
         # Nor may it leave one input more modes next to each other than it can tell apart: they stay where they are.
         alike = np.sum(np.abs(np.linalg.eigvals(plant.A) - 1) < 1e-4) > plant.B.shape[1]
-        if alike and re.match(r"its certificate fails: marginal: a pole at .* lies on the unit circle, to rounding", str(error)):
+        if alike and re.match(r"its certificate fails: marginal: a pole at .* is on the unit circle \(within", str(error)):
             return
         if not isinstance(error, NoSolutionError):
             raise
