@@ -149,7 +149,7 @@ class Controller(ControlLaw, Checked, Shown):
     @property
     def unmet_specifications(self) -> tuple[str, ...]:
         """The specifications that are not kept, or not proved, in words."""
-        return tuple(f"not kept: {promise.text}" for promise in self.specifications if not promise.holds)
+        return tuple(f"specification not kept: {promise.text}" for promise in self.specifications if not promise.holds)
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -217,8 +217,8 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
             wrong = wrong or f"has a law of shape {one.law.D.shape}"
         if wrong:
             raise InputError(
-                f"controller {one.name!r} {wrong} and belongs to another vehicle; this {vehicle.kind.name} has {forces} force(s) "
-                f"and the signals {listing(outputs)}"
+                f"controller {one.name!r} {wrong}, so it belongs to another vehicle; this {vehicle.kind.name} has {forces} "
+                f"force(s) and the signals {listing(outputs)}"
             )
 
 
@@ -233,7 +233,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} has a preview of the road, and {what} contains only feedback of measured signals; "
+            f"controller {controller.name!r} has a preview of the road, but {what} contains only feedback of measured signals; "
             "choose a controller without preview"
         )
 

@@ -108,13 +108,13 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
     how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
         raise InputError(
-            f"controller {entry.name!r} is designed for the sampled-data loop, and [implementation] has no sample period; give "
-            "one, such as sample_period = 0.01 (seconds)"
+            f"controller {entry.name!r} is designed for the sampled-data loop, but [implementation] has no sample period; give "
+            "it in seconds, such as sample_period = 0.01"
         )
     if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"controller {entry.name!r} is designed for the sampled-data loop, and {pushed[0]!r} contains the road's velocity "
-            "because of tyre_damping, so no energy bounds a sample; omit the signal or tyre_damping"
+            f"controller {entry.name!r} cannot be designed for the sampled-data loop: {pushed[0]!r} contains the road's "
+            "velocity because of tyre_damping, so its samples have no bound; omit the signal or tyre_damping"
         )
     Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
@@ -132,11 +132,11 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
     record = entry.certificate or {}
     if SAMPLED_BOUND not in record:
         return ()
-    claimed = f"the lower bound of the sampled loop is claimed to be {exactly(record[SAMPLED_BOUND])}"
+    claimed = f"the certificate claims that the lower bound of the sampled loop is {exactly(record[SAMPLED_BOUND])}"
     if vehicle.implementation.sample_period is None:
-        return (f"{claimed}, and [implementation] has no sample_period",)
+        return (f"{claimed}, but [implementation] has no sample_period",)
     bound = read_sampled_bound(record, held_problem(vehicle, entry))
-    return () if bound.holds else (f"{claimed}, and its proof does not hold with this vehicle",)
+    return () if bound.holds else (f"{claimed}, but its proof does not hold for this vehicle",)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:

@@ -108,8 +108,8 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
     small = by_text((name, one.pair) for name, one in margins.items() if one.small and name not in grow)
     pairs = "; ".join(f"{names} {pair}" for pair, names in small.items())
-    texts = [f"Unstable by itself{''.join(clipped)}: {rates}"] if grow else []
-    return [*texts, *([f"Low stability margins (gain/disk): {pairs}"] if pairs else [])]
+    texts = [f"Control laws that are unstable by themselves{''.join(clipped)}: {rates}"] if grow else []
+    return [*texts, *([f"Small stability margins of the ideal loop (gain/disk): {pairs}"] if pairs else [])]
 
 
 def unstable_by_itself(driver: AnyController) -> bool:
@@ -121,7 +121,7 @@ def _clipped(vehicle: Vehicle) -> str:
     """Returns where the forces are clipped, in words; empty if they are not."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
-    return "behind the adjustable dampers" if vehicle.dampers else ""
+    return "at the limits of the semi-active dampers" if vehicle.dampers else ""
 
 
 def _growth(loop: LoopTransfer, factors: Array) -> Array:

@@ -123,7 +123,7 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop
         rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
     except InputError as error:
         raise InputError(
-            f"controller {controller.name!r} changes its states too fast to be run every {period:g} s: of their rates, "
+            f"controller {controller.name!r} cannot run every {period:g} s, because its states change too fast: of their rates, "
             f"(A - I) / T and B / T, {error}; scale its states, so that B is smaller and C larger"
         ) from error
     return _kept(model, rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)

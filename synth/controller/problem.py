@@ -220,8 +220,8 @@ def problem(
         of_loads[:, : model.Dw.shape[1]] = model.Dw[rows]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
-                "an unsprung_acceleration is measured, which contains the road's velocity because of tyre_damping, and that "
-                "velocity has a filter in [performance] road; omit one of the three"
+                "a measured unsprung_acceleration contains the road's velocity because of tyre_damping, so this velocity cannot "
+                "have the filter [performance] road; omit the measurement, tyre_damping or the filter"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     of_heights = rates = None
@@ -353,11 +353,11 @@ def _with_integrals(plant: GeneralizedPlant, vehicle: Vehicle, model: LinearMode
 def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
     """Raises an InputError for the integral of a height, or of a signal that no force moves for long."""
     for name, terms in vehicle.integrals.items():
-        what = f"[performance] weighs the integral of {name.removeprefix('integral_of_')}"
+        what = f"[performance] weights the integral of {name.removeprefix('integral_of_')}"
         if heights := [signal for signal in terms if signal in model.heights]:
             raise InputError(
-                f"{what}, and {heights[0]} is a height over the datum of a flat road, to which no law returns it: it has no "
-                "norm; take a sum of deflections, which is a height over the road"
+                f"{what}, but {heights[0]} is a height over the datum of a flat road: no law returns it to zero, so it has no "
+                "norm; weight a sum of deflections instead, which is a height over the road"
             )
         plain = vehicle.linear_model
         rows = np.array([terms.get(signal, 0.0) for signal in plain.outputs])
@@ -366,8 +366,8 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
         balanced = balanced / np.maximum(np.abs(balanced).max(axis=0, keepdims=True), np.finfo(float).tiny)
         if np.linalg.matrix_rank(balanced, UNMOVED) < np.linalg.matrix_rank(balanced[:-1], UNMOVED) + 1:
             raise InputError(
-                f"{what}, which no constant force moves: no law returns the integral to zero, and there is no norm; weigh the "
-                "integral of a suspension's deflection, or a filter without a pole at 0"
+                f"{what}, which no constant force changes: no law returns the integral to zero, so it has no norm; weight the "
+                "integral of a suspension deflection, or use a filter without a pole at 0"
             )
 
 
@@ -378,11 +378,11 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
     """Raises an InputError for a weighted height that no norm bounds, or that the warp of the road moves."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
-        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which responds to road warp, has no norm; give 0")
+        raise InputError(f"[performance] {signal} has no norm, because this {vehicle.kind.name} responds to road warp; give 0")
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
-            f"[performance] {signal} is a height over the datum of a flat road, which a road of bounded velocity moves without "
-            "bound: it has no norm; give 0 to have it in logs, or road = a filter that is 0 at 0 rad/s, whose height is bounded"
+            f"[performance] {signal} has no norm: it is a height over the datum of a flat road, and a road of bounded velocity "
+            "can rise without bound; give 0 to only log the signal, or give road a filter that is 0 at 0 rad/s"
         )
 
 

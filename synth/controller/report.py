@@ -104,7 +104,7 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
         return ()
     which = "is below" if norm.reached > norm.upper else "differs from"
-    reached = f"the gain that a disturbance reaches, by {APART.cell(norm)} of it"
+    reached = f"the gain that a disturbance reaches, by a relative {APART.cell(norm)}"
     return (f"the sampled norm {SAMPLED.cell(norm)} {which} {reached}",)
 
 
@@ -127,7 +127,7 @@ def failures_of_sampled_loop(
 
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns a note if only sampling makes the loop stable."""
-    return tuple(f"without a computer its loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
+    return tuple(f"without sampling the loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
 
 
 def false_norm(
@@ -146,11 +146,11 @@ def false_norm(
     norm = norm_of_loop()
     if norm is not None and abs(norm.value - said) <= SAME * said:
         return ()
-    claimed = f"the sampled norm is claimed to be {SAMPLED.digits(said)}"
+    claimed = f"the certificate claims that the sampled norm is {SAMPLED.digits(said)}"
     if norm is None:
-        return (f"{claimed}, and [implementation] has neither sample_period nor delay",)
+        return (f"{claimed}, but [implementation] has neither sample_period nor delay",)
     off = f" ({APART.digits(abs(norm.value / said - 1))} off)" if norm.stable else ""
-    return (f"{claimed}, and is {SAMPLED.cell(norm)}{off} with {built_words(vehicle)}",)
+    return (f"{claimed}, but it is {SAMPLED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
@@ -182,7 +182,7 @@ def sign_note(controller: Controller) -> str:
 
     if not any(gains.get(name, 0.0) > 0 for gains in pid_gains(controller.law) for name in GAINS):
         return ""
-    return "; with a positive kp, ki or kd the force lifts the body and so increases an extension: gains against it are negative"
+    return "; a positive kp, ki or kd lifts the body, which increases an extension: give negative gains to oppose it"
 
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
@@ -193,7 +193,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
     text = f"The disturbance w is the road's velocity under every wheel and the height of its {listing(felt)}"
-    return [f"{text}: 1 m counts as {rate} m/s."] if count else []
+    return [f"{text}, of which 1 m counts as {rate} m/s."] if count else []
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
@@ -215,8 +215,8 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
 
 OF = "Bound, norm and poles are those of"
 IDLE_INTEGRAL = (
-    "its integral leaves a pole at 0 in the loop: no constant force changes the integrated signal permanently, or no force uses "
-    "the integral; so there is no finite norm"
+    "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
+    "integrated signal permanently, or no force uses the integral"
 )
 HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
 
@@ -234,10 +234,10 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
-    notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
+    notes += [f"the ideal loop is close to instability ({margins.small}); see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
-        follows = f"when forces are clipped, its states follow the clipped forces at {rate:g} 1/s or faster"
+        follows = f"when forces are clipped, the states of the law follow the clipped forces at {rate:g} 1/s or faster"
         notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")
     return notes
 
@@ -254,15 +254,15 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
     texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
     states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
-    poles = "; poles of filters are in every loop and independent of control, and are not listed" if states else ""
-    lines = [f"norms are of {', '.join(texts)}{poles}"]
+    poles = "; the poles of these filters do not depend on control and are not listed" if states else ""
+    lines = [f"norms include filters: {', '.join(texts)}{poles}"]
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
-        lines.append(f"designs that measure {names} have its integral as a state; norms as implemented omit the integral")
+        lines.append(f"designs that measure {names} have its integral as a state; sampled norms omit the integral")
     return lines
 
 
-STUDY = "for study only: no sensor on a car measures its heights over the datum of a flat road"
+STUDY = "for study only: no sensor on a car measures heights over the datum of a flat road"
 
 
 def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
@@ -271,10 +271,10 @@ def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         return []
     shows = controller.problem(vehicle).judged(controller.law).shows if isinstance(controller, Controller) else ()
     names = listing([vehicle.weighted[i].name for i in shows])
-    return [STUDY, *[f"no finite norm: a lasting height of the road leaves a lasting {names}"] * bool(shows)]
+    return [STUDY, *[f"no finite norm: a permanent height of the road causes a permanent {names}"] * bool(shows)]
 
 
-FEEDBACK_ALONE = "norm, bound and poles are those of its feedback alone; the preview changes no pole and no margin"
+FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the preview, which changes no pole and no margin"
 
 
 def judged_lines(controller: Controller) -> list[str]:
@@ -282,11 +282,11 @@ def judged_lines(controller: Controller) -> list[str]:
     measured, hardware = controller.measured, controller.hardware
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in zip(measured, hardware.noise, strict=bool(hardware.noise)) if rms)
     loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
-    as_road = "as much as 1 m/s of road velocity, before any filter of it"
+    as_road = "as much as 1 m/s of unfiltered road velocity"
     texts = [FEEDBACK_ALONE] if controller.preview is not None else []
     texts += [f"norm and bounds include noise: an rms of {noise} counts {as_road}"] if noise else []
     if loads:
-        omit = "a norm as implemented, and one that sim.sweep measures, include no loads"
+        omit = "sampled norms, and norms that sim.sweep measures, include no loads"
         texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")
@@ -305,15 +305,15 @@ def notes(controller: Controller) -> tuple[str, ...]:
     steps = controller.steps
     if steps is not None and steps.state_step_gap > SHORT:
         gap = percent(steps.state_step_gap)
-        texts.append(f"designed from an X {gap} short of the best state feedback; the best X leads to no design")
+        texts.append(f"designed from a state feedback {gap} above its optimum, because the optimum leads to no design")
     if steps is not None and steps.optimum_gap > SHORT:
         gap = percent(steps.optimum_gap)
-        texts.append(f"its bound is {gap} above the optimum, which only gains beyond any actuator reach")
+        texts.append(f"the bound is {gap} above its optimum, which only gains too large for actuators reach")
     elif steps is not None and steps.moved > SETTLED:
         texts.append(
-            f"gain not settled: over the last step of its path it moved by {percent(steps.moved)} of its largest entry, so "
-            "its digits are not those of the optimum; norm and bound hold for the printed gain"
+            f"the gain did not converge: the last step of its path changed it by {percent(steps.moved)} of its largest entry, "
+            "so it may not be the optimal gain; norm and bound are those of the printed gain"
         )
     if controller.redundant:
-        texts.append(f"redundant: {', '.join(controller.redundant)} follows from the other signals and has no gain")
+        texts.append(f"redundant: {', '.join(controller.redundant)} is a combination of the other signals and has no gain")
     return tuple(texts)

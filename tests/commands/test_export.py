@@ -272,7 +272,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
         ("", ["--controller", "I", "--refine"], "combine it only with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
-        ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
         (
             "",
@@ -286,7 +286,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
             "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE",
         ),
         ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integer code"),
-        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "one does not decay"),
+        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "law does not decay"),
     ],
 )
 def test_what_is_not_exported(vehicle, options, said, tmp_path):
@@ -329,7 +329,7 @@ def test_a_proved_peak_is_a_range(capsys, tmp_path):
     """The largest proved peak of a goal is the range of its signal, as the folder says; a range that no peak proves is named."""
     (tmp_path / "car.toml").write_text((HERE / "quarter_car.toml").read_text() + GOALS)
     command = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "goals", "--numbers", "int32"]
-    with pytest.raises(InputError, match="fixed point needs the range of sprung_velocity"):
+    with pytest.raises(InputError, match="integer code needs the largest magnitude of sprung_velocity"):
         main([*command, "--export", str(tmp_path / "ecu")])
     assert main([*command, "--range", "sprung_velocity=2", "--export", str(tmp_path / "ecu")]) == 0
     record = json.loads((tmp_path / "ecu" / "certificate.json").read_text())

@@ -229,8 +229,8 @@ def test_saved_and_checked(tmp_path, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "claims that the norm is" in said
     assert (
-        "norms are of control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1); "
-        "poles of filters are in every loop and independent of control, and are not listed"
+        "norms include filters: control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1)"
+        "; the poles of these filters do not depend on control and are not listed"
     ) in said
 
 

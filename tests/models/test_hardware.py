@@ -269,7 +269,7 @@ def test_a_law_too_fast_for_its_period():
     vehicle = built(law, section=section, with_what="[implementation]\nsample_period = 0.01\n")
     controller = Designer(vehicle).design("one")
     with pytest.raises(
-        InputError, match=r"controller 'one' changes its states too fast to be run every 0.01 s: .*B has an entry"
+        InputError, match=r"controller 'one' cannot run every 0.01 s, because its states change too fast: .*B has an entry"
     ):
         sampled(vehicle, controller, 0.01)
     assert any("Tustin" in line for line in judged_lines(controller))

@@ -107,7 +107,7 @@ def test_what_is_printed_and_saved(tmp_path, capsys):
     file.write_text(read_vehicle("quarter_car").text + CARRIED)
     assert main(["--vehicle", str(file), "--controller", "carried", "--save", str(saved), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert "norm and bounds include loads: 1000 N of heave_load each count as much as 1 m/s of road velocity" in printed
+    assert "bounds include loads: 1000 N of heave_load each count as much as 1 m/s of unfiltered road velocity" in printed
     assert main(["--check", str(saved)]) == 0
     again = read_vehicle(saved)
     assert again.hardware("carried_designed" if "carried_designed" in again.controllers else "carried").loads == (
@@ -137,7 +137,7 @@ def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
     assert main([*asked, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["loads"] == {"heave_load": 1000.0}
-    assert "norm and bounds include loads: 1000 N of heave_load each count as much as 1 m/s of road velocity" in said
+    assert "norm and bounds include loads: 1000 N of heave_load each count as much as 1 m/s of unfiltered road velocity" in said
     vehicle, omega = read_vehicle("quarter_car"), np.geomspace(1e-3, 1e3, 10_000)
     model = vehicle.linear_model
     Bd = np.hstack([model.Bw, 1000.0 * model.Bl])

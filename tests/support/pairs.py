@@ -172,12 +172,12 @@ CHEAP = {  # levels that the suite has, of features with others that take long
 }
 REFUSALS = (  # what is no fault of a file, and which command it does not go with
     "no linear loop",
-    "no sample period: give [implementation] sample_period",
+    "so its code needs a sample period",
     "an export contains only feedback of measured signals",
-    "is a law in Python and code already",
+    "is a law in Python, already code",
     "states of filters in [performance] never are",
     "no sensor measures the states of filters in [performance]",
-    "is not an integer, and code sets forces at samples",
+    "is not an integer, but code sets forces only at samples",
     "semi-active dampers with characteristics cannot be exported",
     "is not stable at a timestep of",
     "unknown controller 'passive'; give --controller with one of",

@@ -298,10 +298,8 @@ def test_an_unstable_pid_says_what_its_signs_mean():
     designer = quarter_car(pid_section(kp=2000.0, ki=500.0))
     wrong = designer.design("mine")
     (failure,) = answers([Row("mine", wrong, (), wrong.certificate.failures)], True)
-    assert failure.text.startswith(
-        "`mine` FAILS: unstable: a pole at 0.04497 1/s; with a positive kp, ki or kd the force lifts the body"
-    )
-    with pytest.raises(InputError, match="gains against it are negative"):
+    assert failure.text.startswith("`mine` FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd lifts the body")
+    with pytest.raises(InputError, match="give negative gains to oppose it"):
         _check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)
     right = quarter_car(pid_section(kp=-2000.0, ki=-500.0)).design("mine")
     assert sign_note(right) == ""

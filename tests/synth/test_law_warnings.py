@@ -145,7 +145,7 @@ def test_published_gains_have_small_margins(capsys):
     """The paper's `state` and I are named with gain margins of 1.11 and 1.21, and II is not."""
     assert synth([]) == 0
     out = capsys.readouterr().out
-    assert "Low stability margins (gain/disk): state, state_printed 1.11/0.10; I, I_printed 1.21/0.19 Limit" in prose(out)
+    assert "margins of the ideal loop (gain/disk): state, state_printed 1.11/0.10; I, I_printed 1.21/0.19 Limit" in prose(out)
     assert bump(["--controller", "I", "--duration", "0.5", "--no-logs"]) == 0
     assert "\nI: gain margin 1.21, disk margin 0.19\n" in capsys.readouterr().out
 
@@ -154,7 +154,7 @@ def test_published_gains_have_small_margins(capsys):
     ("vehicle", "winds_up"),
     [
         (limited(SLOW, Limits(actuator_force=3000.0)), "at 3 kN"),
-        (semi_active(SLOW), "behind the adjustable dampers"),
+        (semi_active(SLOW), "at the limits of the semi-active dampers"),
         (limited(SLOW, Limits()), ""),
         (
             parse_vehicle(limited(SLOW, Limits()).text + "anti_windup = 40.0\n[limits]\nactuator_force = 50.0\n", source="kept"),
@@ -220,7 +220,7 @@ def test_a_full_order_law_that_winds_up(corner, capsys):
     car = corner(FULL)
     assert synth(["--vehicle", car, "--controller", "full"]) == 0
     out = prose(capsys.readouterr().out)
-    assert "Unstable by itself, winding up at 300 N: full (+" in out
+    assert "Control laws that are unstable by themselves, winding up at 300 N: full (+" in out
     assert out.endswith("; law UNSTABLE even without the vehicle: full")
     drive(["--vehicle", car, "--controller", "full", "--class", "E", "--speed", "25", "--duration", "12", "--no-logs"])
     out = prose(capsys.readouterr().out)

@@ -118,10 +118,10 @@ def test_saved_and_checked(built, tmp_path, capsys, change):
     code, found = said(capsys, "--check", str(saved), "--controller", "I_designed")
     (failure,) = found["controllers"][0]["failures"]
     assert code == 1
-    assert failure.startswith("the sampled norm is claimed to be 7.87")
+    assert failure.startswith("the certificate claims that the sampled norm is 7.87")
     assert ("neither sample_period nor delay" in failure) == (change == "none")
     bump(["--vehicle", str(saved), "--controller", "I_designed", "--no-logs", "--duration", "0.1"])
-    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().err)
+    assert "the certificate claims that the sampled norm is 7.87" in prose(capsys.readouterr().err)
 
 
 def test_inspected(built, tmp_path, capsys):
@@ -141,7 +141,7 @@ def test_inspected(built, tmp_path, capsys):
     forged = tmp_path / "forged.mcap"
     forged.write_bytes(written(contents(log).with_claim("run/I", "certificate", forge)))
     assert inspect([str(forged)]) == 1
-    assert "the sampled norm is claimed to be 7.87" in prose(capsys.readouterr().out)
+    assert "the certificate claims that the sampled norm is 7.87" in prose(capsys.readouterr().out)
 
 
 # --- loops that are stable only with samples, or without -----------------------------------------------------------------
@@ -417,7 +417,7 @@ def _not_asked_for(*given):
             0.9,
             "DOES NOT HOLD: controller I at 10 ms, at once: the sampled norm 7.865064 differs from the gain that a disturbance",
         ),
-        (1 + 1e-7, "at once: the sampled norm 7.865064 is below the gain that a disturbance reaches, by 1e-07 of it"),
+        (1 + 1e-7, "at once: the sampled norm 7.865064 is below the gain that a disturbance reaches, by a relative 1e-07"),
     ],
 )
 def test_what_does_not_hold_is_said(share, words, monkeypatch, capsys, never_lost):

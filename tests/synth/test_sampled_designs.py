@@ -425,5 +425,5 @@ def test_a_false_bound_fails(saved, tmp_path, capsys, what):
     options = ["--check", str(tmp_path / "false.toml"), "--controller", "mine_designed"]
     assert main_of("synth")(options) == 1
     printed = " ".join(capsys.readouterr().out.split())
-    assert "the lower bound of the sampled loop is claimed to be" in printed
-    assert "its proof does not hold with this vehicle" in printed
+    assert "claims that the lower bound of the sampled loop is" in printed
+    assert "its proof does not hold for this vehicle" in printed

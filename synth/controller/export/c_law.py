@@ -148,7 +148,7 @@ def exported_law(
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
-        raise InputError(f"controller {driver.name!r} is {driver.kind} and code already; export a linear or semi-active one")
+        raise InputError(f"controller {driver.name!r} is {driver.kind}, already code; export a linear or semi-active law")
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
@@ -156,16 +156,16 @@ def exported_law(
     if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.adjustable):
         raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
     if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
-        raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions the same")
+        raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions one kind")
     if how.delay != int(how.delay):
         raise InputError(
-            f"delay = {how.delay:g} samples is not an integer, and code sets forces at samples; give {int(how.delay)}"
+            f"delay = {how.delay:g} samples is not an integer, but code sets forces only at samples; give {int(how.delay)}"
         )
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
-            f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, and no sample period: give [implementation] "
-            "sample_period, or a static gain"
+            f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, so its code needs a sample period; give [implementation] "
+            "sample_period, or export a static gain"
         )
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
@@ -224,15 +224,15 @@ def _ranges(
         InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
     """
     if vehicle.dampers:
-        raise InputError("fixed point needs force actuators, but this vehicle has semi-active dampers; give double or float")
+        raise InputError("integer code needs force actuators, but this vehicle has semi-active dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; omit it")
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures only {listing(driver.measured)}; omit it")
     known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
         name = lacking[0]
-        raise InputError(f"fixed point needs the range of {name}; give it: --range {name}=NUMBER, its largest magnitude")
+        raise InputError(f"integer code needs the largest magnitude of {name}; give it with --range {name}=NUMBER")
     return np.array([known[name][0] for name in driver.measured]), tuple(known[name][1] for name in driver.measured)
 
 

@@ -89,7 +89,7 @@ def fixed_point(
     if L is not None:  # where a force is given, clipped or not, this is the law
         A_own, pushed = A - L @ C, np.hstack([(B - L @ D) * ranges, L * (limit or 0.0)])
     if k and np.abs(np.linalg.eigvals(A_own)).max() >= 1 - 1e-12:
-        raise InputError(f"{numbers} needs bounded states of the law, but one does not decay; give double or float")
+        raise InputError(f"{numbers} needs bounded states, but a state of this law does not decay; give double or float")
     peaks = summed_responses(np.eye(k), A_own, pushed) if k else np.zeros(0)
     forces = np.abs(D) @ ranges + np.abs(C) @ peaks
     if limit is not None and L is None:

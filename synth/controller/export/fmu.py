@@ -138,9 +138,9 @@ def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int)
             return {folder: _universal(TARGETS[version][folder], parts) for folder, parts in built.items()}, ""
         compiler, host = own_compiler(), _host(version)
         if compiler is None or host is None:
-            return {}, "no binaries, as there is no C compiler; the extra [export] brings one for Linux, Windows and macOS"
+            return {}, "no binaries, as there is no C compiler; install the extra [export] to build for Linux, Windows and macOS"
         only = {host: _built([compiler, "-s"], place, compiled, host)}
-        return only, f"a binary for {host} alone; the extra [export] brings a compiler for Linux, Windows and macOS"
+        return only, f"a binary for {host} only; install the extra [export] to build for Linux, Windows and macOS"
 
 
 def _host(version: int) -> str | None:
@@ -162,7 +162,7 @@ def _built(compiler: Sequence[str], place: Path, compiled: Sequence[str], name: 
         command.remove("-fPIC")
     ran = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
     if ran.returncode:
-        raise RuntimeError(f"the compiler refuses the sources of an FMU for {name}: {ran.stderr[:500]}")
+        raise RuntimeError(f"the compiler rejects the sources of an FMU for {name}: {ran.stderr[:500]}")
     return library.read_bytes()
 
 

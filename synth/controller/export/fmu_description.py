@@ -75,13 +75,13 @@ def build_description(model: FmuModel, files: Sequence[str]) -> str:
 
 def _about(model: FmuModel) -> str:
     if model.states:
-        return f"{model.title}. SI units, from static equilibrium. In co-simulation inputs are held over a step, which is exact."
-    title = f"{model.title}. Outputs are {samples(model.delay)} late" if model.delay else model.title
+        return f"{model.title}. SI units, from static equilibrium. In co-simulation a step with constant inputs is exact."
+    title = f"{model.title}. Outputs are delayed by {samples(model.delay)}" if model.delay else model.title
     if model.period is None:
-        return f"{title}. A step computes outputs of the inputs that are set, and may have any length."
+        return f"{title}. A step computes the outputs from the present inputs, and may have any length."
     return (
-        f"{title}. A step of {model.period:g} s, and no other, computes outputs of the inputs that are set: step it before "
-        "the vehicle, or its outputs act a period later."
+        f"{title}. Each step must last {model.period:g} s and computes the outputs from the present inputs. Step this FMU "
+        "before the vehicle, or its outputs act one period later."
     )
 
 

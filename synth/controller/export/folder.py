@@ -117,7 +117,7 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
 | output | unit | meaning |
 |---|---|---|
 {outs}
-All readings are measured from static equilibrium, upwards positive. {" ".join(filter(None, does))}
+All signals are measured from static equilibrium; upwards is positive. {" ".join(filter(None, does))}
 
 ## What is certified
 
@@ -128,7 +128,7 @@ All readings are measured from static equilibrium, upwards positive. {" ".join(f
 - Numbers are `{law.numbers}`. Sums go from the first column to the last. There is no heap, no recursion and no library.
 {_whole_numbers(law)}{_faults(law)}- Compile with `{FLAGS}`.
 - A compiler that fuses multiplication and addition of floating-point numbers rounds differently, so that the last bits differ.
-- `test/main.c` compares the code with `test/vectors.csv` back to back: every output must have the bits of the file.
+- `test/main.c` compares the code with `test/vectors.csv` back to back: every output must be equal bit for bit.
 
 ```sh
 cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
@@ -145,8 +145,8 @@ def _whole_numbers(law: ExportedLaw) -> str:
     each = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
     ranges = "; ".join(f"`{name}` ±{most:g} {unit}, {source}" for name, most, unit, source in each)
     return (
-        "- Inputs and outputs are integers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
-        f"- The ranges of the readings: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
+        "- Inputs and outputs count the steps in the tables above: multiply them by a step to get the unit. Arithmetic "
+        f"saturates.\n- Ranges of the measurements: {ranges}. Within these ranges the peaks of states and forces are proved.\n"
     )
 
 
@@ -174,9 +174,8 @@ def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     words = "".join(f"- `{name}` = {value:.9g}\n" for name, value in scalars.items())
     left = ["limits", "quantisation", "rounding of its numbers"] + (["the dampers' range"] if law.dampers else [])
     return (
-        f"`{VEHICLE}` holds the law, the vehicle and the certificate of their closed loop in continuous time:\n\n"
-        f"{words or '- no certificate was saved with it'}\n\n"
-        f"Not certified: {', '.join(left)}."
+        f"`{VEHICLE}` contains the law, the vehicle and the certificate of their closed loop in continuous "
+        f"time:\n\n{words or '- no certificate was saved with it'}\n\nNot certified: {', '.join(left)}."
     ).replace("\n\n\n", "\n\n")
 
 
@@ -210,9 +209,9 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
     for line in read_text(folder / MANIFEST, "manifest", give).splitlines():
         digest, _, name = line.partition("  ")
         if not (folder / name).is_file():
-            failures.append(f"{name}: is missing, and {MANIFEST} has it")
+            failures.append(f"{name}: is missing, but {MANIFEST} lists it")
         elif hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
-            failures.append(f"{name}: is changed, by its checksum in {MANIFEST}")
+            failures.append(f"{name}: does not have its checksum in {MANIFEST}")
     text, record = (read_text(folder / name, "exported controller", give) for name in (VEHICLE, CERTIFICATE))
     try:
         about = json.loads(record)
@@ -237,13 +236,13 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
     fits = [i for i, one in enumerate(drivers) if one.name in (law.controller, law.controller.removesuffix(SUFFIX))]
     if not fits:
         names = ", ".join(one.name for one in drivers)
-        raise InputError(f"--as {folder}: is the code of {law.controller!r}, and --controller gives {names}; give that one")
+        raise InputError(f"--as {folder} is code of {law.controller!r}, but --controller gives {names}; give that controller")
     driver, theirs, ours = drivers[fits[0]], _facts(found.vehicle), _facts(vehicle)
-    other = [f"{name} = {value}, and not {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
+    other = [f"{name} = {value} instead of {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
     if other:
-        raise InputError(f"--as {folder}: was exported for a vehicle with {other[0]}; export {driver.name!r} of this vehicle")
+        raise InputError(f"--as {folder} was exported for a vehicle with {other[0]}; export {driver.name!r} of this vehicle")
     if not is_law_of(law, vehicle, driver):
-        raise InputError(f"--as {folder}: has another law than controller {driver.name!r} has now; export it again")
+        raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
     code.start()  # code that cannot be built is refused before the long work

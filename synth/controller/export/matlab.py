@@ -87,8 +87,8 @@ def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> st
     """Returns MATLAB code that makes an `ss` object of each controller and of the plant, and closes their loop by names."""
     names = struct_names(controllers)
     lines = [
-        f"% The ss objects of {file}, which needs the Control System Toolbox: plant, and a controller each.",
-        "% All is in SI units and measured from static equilibrium; u = K y, with a plus.",
+        f"% Makes ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",
+        "% All signals are in SI units and measured from static equilibrium. Feedback is positive: u = K y.",
         f"file = load('{file.replace(QUOTE, 2 * QUOTE)}');",
         *_ss("plant", f"file.{VEHICLE}.model"),
     ]
@@ -99,7 +99,7 @@ def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> st
     listed = ", ".join(f"'{name}'" for name in roads)
     example = names[controllers[0].name]
     lines += [
-        "% Closed by names, if both are continuous: from the roads to everything the vehicle has.",
+        "% Closed loop from the roads to all outputs of the vehicle, if plant and controller are continuous:",
         f"% loop = connect(plant, {example}, {{{listed}}}, file.{VEHICLE}.model.outputs);",
     ]
     return "\n".join(lines) + "\n"
