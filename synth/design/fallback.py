@@ -43,7 +43,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 if TYPE_CHECKING:
     from synth.design.descent.landscape import Work
 
-KNOW_NO_NOISE = "they know no noise on what is measured"
+KNOW_NO_NOISE = "the two steps ignore noise of measurements"
 NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
@@ -69,12 +69,12 @@ def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
     """
     entry = float(np.abs(steps.gain).max(initial=0.0))
     if largest_gain < LARGEST_GAIN and entry > largest_gain:
-        return f"they lead to a gain of {rough(entry)}, and {largest_gain:g} is the largest allowed"
+        return f"the two steps lead to a gain of {rough(entry)}, but {largest_gain:g} is the largest allowed"
     gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"they come to {digits(steps.certificate.norm.value)}{far}, as their X feeds back the states of filters, which y lacks"
+    return f"the two steps end at {digits(steps.certificate.norm.value)}{far}, as their X needs states of filters, which y lacks"
 
 
 @numerics()
@@ -121,7 +121,7 @@ def two_steps_or_descent(
     try:
         by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise, work=work)
         certificate, gain = by_descent.certificate, by_descent.gain
-        how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
+        how = f"by descent on the norm from {by_descent.origin}, with gains up to {largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
         how += f"; {by_descent.stopped}" * bool(by_descent.stopped)
@@ -129,10 +129,10 @@ def two_steps_or_descent(
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
             message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
-            raise DesignError(f"{message}; the two steps: {failure or reason}") from error
+            raise DesignError(f"{message}; reason for the descent: {failure or reason}") from error
         gain, certificate, how = left
-    unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
-    instead = f"not by the two steps but {how}{unproved}, for {reason}"
+    unproved = "; rounding leaves no proof of a bound, but two methods agree on the norm" if certificate.bound is None else ""
+    instead = f"designed {how}{unproved}; reason: {reason}"
     return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(rows), 0.0)
 
 
@@ -176,15 +176,15 @@ def near_lower_bound(
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"the two steps come to {digits(design.certificate.norm.value)}{far}; descent from there"
+    came = f"norm {digits(design.certificate.norm.value)}{far} by the two steps; descent from their gain"
     lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
     stopped = f"; {work.text}" if work.over else ""
     if lower is None:
         return design, f"{came} finds no lower norm{stopped}"
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
-        at = f"{digits(lower.certificate.norm.value)} with poles beyond any actuator"
-        return design, f"{came} comes to {at}, so that the gain of the two steps is kept{stopped}"
-    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large{stopped}"
+        at = f"{digits(lower.certificate.norm.value)} with poles too fast for actuators"
+        return design, f"{came} ends at {at}, so the gain of the two steps is kept{stopped}"
+    return lower, f"{came} lowers the norm with a gain {growth:.3g} times as large{stopped}"
 
 
 def _refined(
@@ -237,9 +237,9 @@ def _known_gain(
     from synth.analysis.bounding import certify_tightly
 
     for how, known in (
-        ("the gain of the two steps as it is", of_two_steps),
-        ("the second step with L = 0", of_zero_l),
-        ("no control, which leaves the plant stable", no_control),
+        ("by the two steps without changes", of_two_steps),
+        ("by the second step with L = 0", of_zero_l),
+        ("without control, as the plant is stable", no_control),
     ):
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             gain = known()

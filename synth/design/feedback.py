@@ -246,9 +246,9 @@ def _plain(value: Any) -> Any:
 def _distance(certificate: Certificate) -> str:
     """Returns the gap between a norm and the lower bound, in words; empty if it is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
-        return "no controller beats its norm"
+        return "no controller has a lower norm"
     if certificate.gap is not None:
-        return f"its norm is {percent(certificate.gap)} above {digits(certificate.lower_bound)}, which no controller beats"
+        return f"its norm is {percent(certificate.gap)} above the lower bound {digits(certificate.lower_bound)}"
     return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
 
 
@@ -291,7 +291,7 @@ class _Asked:
         plant, Dyw = self.loud
         result, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
         certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
-        said = [result.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
+        said = [result.case, f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""]
         why = result.instead or went_on or "the two steps lead to a gain whose certificate holds"
         method = DESCENT if result.instead else BOTH if went_on else TWO_STEPS
         remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
@@ -316,7 +316,7 @@ class _Asked:
             if left is None:
                 raise
             (law, certificate, method), remark = left, ""
-            why = f"not by Riccati equations for the least norm, for {error}"
+            why = f"Riccati equations for the least norm failed: {error}"
         return FeedbackDesign(law, certificate, method, why, remark, certificate.norm.value)
 
     def _instead_of_full(self, plant: GeneralizedPlant, Dyw: Array | None) -> tuple[LinearLaw, Certificate, str] | None:
@@ -361,7 +361,7 @@ class _Asked:
         check_continuous(self.plant)
         if self.Dyw is not None:
             raise InputError(
-                f"{WHERE} Dyw with sample_period: noise between samples has no effect; give noise, the rms of each reading"
+                f"{WHERE} Dyw has no effect between samples; with sample_period give noise instead, the rms of each measurement"
             )
         from synth.design.static import bounded_work
 
@@ -405,12 +405,12 @@ class _Asked:
             remark = f"{distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (
-                f"not by the two steps, for {gain.instead}"
+                f"the two steps were not used: {gain.instead}"
                 if gain.instead
                 else "the two steps lead to a gain of this sampled norm"
             )
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
-        said = [remark, "the certificate is of the ideal loop, without samples or delay"]
+        said = [remark, "the certificate is that of the ideal loop, without sampling and delay"]
         return FeedbackDesign(
             law,
             certificate,
@@ -436,7 +436,7 @@ class _Asked:
         law, notes = static_law(result.gain), [*remarks(result)]
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law, Dyw), self.lower_bound, by_itself=plant)
         if unproved := result.unproved:
-            notes.append(f"stability with all errors is not proved of member {', '.join(map(str, unproved))}")
+            notes.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")
         over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
-        why = f"of goals, {listing([*section, *['family'] * bool(family)])}"
+        why = f"the goals are {listing([*section, *['family'] * bool(family)])}"
         return FeedbackDesign(law, certificate, "descent for goals", why, "; ".join(notes), result.goal, over)

@@ -127,14 +127,14 @@ def slack_design(
         certificates = tuple(certify_tightly(plant, Feedback(gain, Cy)) for plant, Cy in zip(plants, Cys, strict=True))
         failed = [failure for certificate in certificates for failure in certificate.failures]
         if failed:
-            failures.append(DesignError(f"its certificate fails: {failed[0]}"))
+            failures.append(DesignError(f"the certificate fails: {failed[0]}"))
             continue
         best.append(SlackDesign(gain, bound, each, certificates, redundant))
         if not any(certificate.beyond_actuators for certificate in certificates):
             return best[-1]
     if best:  # all are beyond actuators
         return best[0]
-    raise type(failures[0])(f"{failures[0]} (f = {', '.join(f'{each:g}' for each in f)} tried)")
+    raise type(failures[0])(f"{failures[0]} (tried: f = {', '.join(f'{each:g}' for each in f)})")
 
 
 def _checked(
@@ -142,7 +142,7 @@ def _checked(
 ) -> tuple[list[Array], Array]:
     """Returns the checked C_y of each plant, and the structure of K as bools, shape (m, q)."""
     if not plants or len(plants) != len(Cys):
-        raise InputError(f"{len(plants)} plants and {len(Cys)} matrices in Cys; give at least one plant, and a C_y for each")
+        raise InputError(f"Cys has {len(Cys)} matrices for {len(plants)} plants; give at least one plant, and one C_y for each")
     for plant in plants:
         check_inputs(plant)
         check_continuous(plant)
@@ -151,18 +151,18 @@ def _checked(
     for i, (plant, Cy) in enumerate(zip(plants, checked, strict=True)):
         if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
             raise InputError(
-                f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, the first n = {len(plants[0].A)}, "
-                f"m = {plants[0].B.shape[1]} and q = {len(checked[0])}; a common gain needs the same n, m and q for all plants"
+                f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, plant 0 has n = "
+                f"{len(plants[0].A)}, m = {plants[0].B.shape[1]} and q = {len(checked[0])}; a common gain needs equal n, m and q"
             )
-    (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
+    (tried,) = real_matrix([f], "(1, k), numbers above 0 such as 0.1, 0.3 and 1", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):
-        raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, as 0.1, 0.3 and 1")
+        raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, such as 0.1, 0.3 and 1")
     shape = plants[0].B.shape[1], len(checked[0])
     pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
     if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
         raise InputError(
-            f"the structure has shape {pattern.shape}; expected {shape}, a row for each input and a column for each measurement, "
-            "of ones where the gain may be other than zero, and zeros"
+            f"the structure has shape {pattern.shape}; expected {shape}, a row for each input and a column for each "
+            "measurement, with 1 where the gain may be other than zero, and 0 elsewhere"
         )
     return checked, pattern.astype(bool)
 

@@ -130,7 +130,7 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     before = norm_of(problem, K, near)
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
-        raise DesignError("the sampled loop is unstable, or its norm occurs within one period; there is nothing to refine")
+        raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
     rows = independent_rows(plant, problem.rows)
     few = problem.of(rows)
     start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
@@ -205,7 +205,7 @@ def held_design(
         if (slow := problem.at(far)) is not None:
             break
     if slow is None:
-        within = f"within one of {1e3 * problem.period:g} ms, where no force answers, w gains {far:g}"
+        within = f"within {1000.0 * problem.period:g} ms without a new force the gain from w is above {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
     rows = independent_rows(slow, problem.rows)
     few = problem.of(rows)
@@ -255,11 +255,11 @@ def _gain(
         quietly = not problem.noise.size
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
-        further = f"{which} to {digits(least)}" if least < norm else f"descent from them to {digits(reached)}"
-        why = f"they come to {digits(norm)}, and {further}" if quietly else "they know no noise"
+        further = f"{which} reaches {digits(least)}" if least < norm else f"descent from there reaches {digits(reached)}"
+        why = f"the two steps reach {digits(norm)}, and {further}" if quietly else "the two steps ignore noise"
     else:
         if K is not None:
-            failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
+            failure = DesignError("rounding leaves no stable loop with the gain that was found")
         moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near, work)
         if _may_fall(problem, reached):
             moved, reached = _lower(problem, moved, reached, far, work)
@@ -332,9 +332,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
     for reached, point in sorted(tries.found, key=lambda pair: pair[0]):
         if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
             return point.K, reached
-        tries.failures.insert(
-            0, DesignError(f"the loop of its gain does not keep the level {digits(reached)}: rounding ends it there")
-        )
+        tries.failures.insert(0, DesignError(f"rounding leaves no loop that keeps the level {digits(reached)}"))
     raise tries.failures[0]
 
 
@@ -409,7 +407,7 @@ def _level(
                     pass
             below = max(below, level)
             if level > FAR * start:
-                raise failure or DesignError("the L2 gain of the loop has no level")
+                raise failure or DesignError("no level of the L2 gain of the loop was found")
             level, grow = (level * grow, grow**2) if math.isinf(above) else (math.sqrt(level * above), grow)
         else:
             norm = followed[-1].gamma
@@ -425,7 +423,7 @@ def _level(
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
+    raise DesignError(f"the norm of the sampled loop was not found in {ROUNDS} rounds: it is between {below:.7g} and {above:.7g}")
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:

@@ -252,7 +252,7 @@ class GainSearch:
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
         candidates += [
-            each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
+            each for x in sampled for each in self.admitted(x, f"a random gain of {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
         alone = np.isinf(self.rival)
         numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)
@@ -262,7 +262,7 @@ class GainSearch:
             numbers = range(0 if candidates else MANY)
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
-                candidates += self.admitted(x, "a stabilising start")
+                candidates += self.admitted(x, "a stabilising gain")
             if candidates or numbers.stop >= most or not alone:
                 return candidates
             numbers = range(numbers.stop, most)

@@ -29,7 +29,7 @@ from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, ch
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import own_units, size
 
-INSTEAD = "designed against a disturbance of every state that z sees"
+INSTEAD = "designed for a disturbance of every state that z contains"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +72,22 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
     if not np.any(plant.D) and not _leaves(own.B, blind):
-        text = "no control force reaches z: its norm is the same for every gain"
-        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; none is applied")
+        text = "no control force affects z, so its norm is the same for every gain"
+        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; no force is applied")
 
     kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
     if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
         return WellPosedProblem(plant)
     beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
-    how = "only through Dw" if direct else "in no way"
+    how = "affects z only through Dw" if direct else "does not affect z"
     if not _leaves(own.Bw, blind):
-        text = f"without control w reaches z {how}"
-        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; none is applied")
+        text = f"without control w {how}"
+        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; no force is applied")
     best = forces[:, None] * F / scale
     stable = is_stable(plant.closed_loop(best).A, plant.dt)
-    text = f"with the right state feedback w reaches z {how}; {INSTEAD}"
-    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w reaches z {how}")
+    text = f"with the right state feedback w {how}; {INSTEAD}"
+    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w {how}")
 
 
 def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
@@ -98,8 +98,8 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
     rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
     if rank < W.shape[1]:
         return [
-            f"some control force costs nothing: z weighs {rank} of {W.shape[1]} independent ones, so that nothing bounds the "
-            "gain of the optimum; give every control force a weight"
+            f"z weights only {rank} of {W.shape[1]} independent control forces, so that nothing limits the optimal gain; give "
+            "every control force a weight"
         ]
     return []
 
@@ -131,9 +131,9 @@ def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] =
 
             where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
             return [
-                f"z does not see the mode at {pole_text(where, dt)}, which does not decay and moves most in "
-                f"{largest(scale * (V @ vector), names)}: the optimum would let it be, and is not stable; weigh a signal that it "
-                "is seen in, or take it out of the model"
+                f"z does not contain the mode at {pole_text(where, dt)}, which does not decay and appears most in "
+                f"{largest(scale * (V @ vector), names)}, so the optimal loop is not stable; weight a signal that contains this "
+                "mode, or remove the mode from the model"
             ]
     return []
 

@@ -51,7 +51,7 @@ MOST_BORDERED = 600  # unknowns of a discrete plant, whose matrices are larger a
 LARGEST_Y = 10.0  # bound on |Y| in the search for a feasible point
 INSIDE = 0.95  # share of the distance to the boundary that a predictor step takes at most
 BREAKS_OFF = (
-    "rounding ends it there, as happens if only an infinite gain reaches the optimum; weight the control force more, or give "
+    "rounding errors stop it, as happens if only an infinite gain reaches the optimum; weight the control force more, or give "
     "other units"
 )
 
@@ -176,7 +176,7 @@ def fits(count: int, most: int, what: str) -> None:
     """Raises a TooLargeError if there are more unknowns than the method, `what`, takes."""
     if count > most:
         raise TooLargeError(
-            f"the LMI problem has {count} unknowns, and {what} takes at most {most}; remove states from the model"
+            f"the LMI problem has {count} unknowns, but {what} allows at most {most}; remove states from the model"
         )
 
 
@@ -242,7 +242,7 @@ class _Path:
                     + (
                         ". The measured signals may not suffice, or L does not fit the problem; measure more signals"
                         if self.free
-                        else f": no gain from what is measured moves every mode off the {_border(self.step)} by more than "
+                        else f": no gain on these measurements moves every mode off the {_border(self.step)} by more than "
                         "rounding"
                     )
                 )

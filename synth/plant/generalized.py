@@ -131,7 +131,7 @@ class GeneralizedPlant:
         G = check("G", G, Matrix | Feedback)
         shape = (len(G.K), G.Cy.shape[1]) if isinstance(G, Feedback) else G.shape
         if shape != self.B.T.shape:
-            raise InputError(f"G has shape {shape}; expected {self.B.T.shape}, an input of the plant a row and a state a column")
+            raise InputError(f"G has shape {shape}; expected {self.B.T.shape}: a row for each input, a column for each state")
         high, beyond = fed_back(np.vstack([self.A, self.C]), np.vstack([self.B, self.D]), G, self.beyond)
         n = len(self.A)
         return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)

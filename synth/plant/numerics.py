@@ -68,4 +68,4 @@ def numerics() -> Iterator[None]:
         except (ValueError, ArithmeticError) as error:
             if not of_rounding(error):
                 raise
-            raise DesignError(f"rounding leaves no answer ({error}); give the plant in other units") from error
+            raise DesignError(f"rounding errors prevent a result ({error}); give the plant in other units") from error

@@ -122,7 +122,7 @@ def test_the_case_is_said(capsys, tmp_path):
     code, found = table(capsys, "--vehicle", str(file), "--controller", "state", "--controller", "I")
     assert code == 0
     for row in found["controllers"]:
-        assert row["notes"] == ["without control w reaches z in no way; none is applied"]
+        assert row["notes"] == ["without control w does not affect z; no force is applied"]
         assert row["norm"] == 0
         assert not any(map(any, row["gain"]))
 

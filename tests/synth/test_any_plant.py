@@ -229,5 +229,5 @@ def test_what_does_not_fit_is_no_rounding():
     ):
         with up_to_rounding():
             answer()
-        with pytest.raises(DesignError, match="rounding leaves no answer"), numerics():
+        with pytest.raises(DesignError, match="rounding errors prevent a result"), numerics():
             answer()

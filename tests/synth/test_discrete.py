@@ -272,7 +272,7 @@ def test_an_integrator_that_z_does_not_see():
     """If z does not see a mode on the circle there is no optimum, and it is said where that is."""
     A, B = np.array([[1.0, 0], [0, 0.5]]), np.array([[1.0], [1]])
     plant = GeneralizedPlant(A, B, np.eye(2), np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.zeros((2, 2)), dt=0.1)
-    with pytest.raises(DesignError, match="z does not see the mode at z = 1, which does not decay"):
+    with pytest.raises(DesignError, match="z does not contain the mode at z = 1, which does not decay"):
         state_design(plant)
 
 

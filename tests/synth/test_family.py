@@ -154,10 +154,10 @@ def test_bad_input(designer):
         A=-np.eye(2), B=np.ones((2, 1)), Bw=np.ones((2, 1)), C=np.eye(2), D=np.zeros((2, 1)), Dw=np.zeros((2, 1))
     )
     for arguments, said in [
-        (([], []), "0 plants and 0 matrices in Cys; give at least one plant"),
-        (([plant, smaller], [Cy, np.eye(2)]), "plant 1 has n = 2, m = 1 and q = 2, the first n = 4"),
+        (([], []), "Cys has 0 matrices for 0 plants; give at least one plant"),
+        (([plant, smaller], [Cy, np.eye(2)]), "plant 1 has n = 2, m = 1 and q = 2, plant 0 has n = 4"),
         (([plant], [Cy], np.ones((2, 2))), r"the structure has shape \(2, 2\); expected \(1, 2\)"),
-        (([plant], [Cy], np.array([[1.0, 0.5]])), "of ones where the gain may be other than zero, and zeros"),
+        (([plant], [Cy], np.array([[1.0, 0.5]])), "with 1 where the gain may be other than zero, and 0 elsewhere"),
         (([plant], [Cy], None, (0.1, -1.0)), "is not a list of positive numbers; give numbers above 0"),
         (([plant], [Cy], None, (np.nan,)), "the row of f has an entry that is not finite"),
         (([dataclasses.replace(plant, dt=0.01)], [Cy]), "this function needs a continuous plant"),
@@ -170,5 +170,5 @@ def test_bad_input(designer):
 def test_what_takes_longer_than_a_minute_is_refused():
     """A chain of 30 states would take three minutes: it is refused at once, in a line that says what is allowed."""
     plant, Cy = chain(30)
-    with pytest.raises(TooLargeError, match="has 1395 unknowns, and the one with a slack variable takes at most"):
+    with pytest.raises(TooLargeError, match="has 1395 unknowns, and the one with a slack variable allows at most"):
         slack_design([plant], [Cy])

@@ -96,7 +96,7 @@ def test_what_cannot_be_had_is_named():
     with pytest.raises(DesignError) as error:
         Designer(vehicle_with(f"measured = {ONE}\n{BAND}\nbounds = [{bounds}]")).design("goal")
     said = str(error.value)
-    norm, travel = (re.search(rf"{each} is passed by ([\d.]+) %", said) for each in ("norm <= 7.5", "over bump <= 0.05"))
+    norm, travel = (re.search(rf"{each} by ([\d.]+) %", said) for each in ("norm <= 7.5", "over bump <= 0.05"))
     assert norm is not None
     assert travel is not None
     assert abs(float(norm[1]) - float(travel[1])) <= 2  # a minimum of the largest excess, as it is printed

@@ -137,8 +137,8 @@ def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
     saved = tmp_path / "saved.toml"
     assert main(["--vehicle", str(loud), "--controller", "best", "--save", str(saved), "-v"]) == 0
     words = " ".join(capsys.readouterr().out.split())
-    assert ("of intensity 1, and sensors have their noise" in words) == ("lqg" in kind)
-    assert ("of intensity 1, and sensors have the noise that w contains" in words) == ("h2" in kind)
+    assert ("of intensity 1, with noise of the sensors" in words) == ("lqg" in kind)
+    assert ("of intensity 1, with noise of w on the sensors" in words) == ("h2" in kind)
     assert main(["--check", str(saved)]) == 0
 
 

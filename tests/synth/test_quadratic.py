@@ -116,8 +116,8 @@ def test_cars(kind):
     assert lqr.h2_norm < lqg.h2_norm < static
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
-    said = "this design needs noise on measurements that have none"
-    assert lqg.remark == f"{said}: {100 * ASSUMED:g} % of the plant's own size was assumed"
+    said = "this design needs noise on every measurement"
+    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed for what is missing"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark
@@ -177,7 +177,7 @@ def test_refused():
         A, np.vstack([plant.B, np.ones((1, m))]), np.vstack([plant.Bw, np.ones((1, plant.Bw.shape[1]))]),
         np.hstack([plant.C, np.zeros((len(plant.C), 1))]), plant.D, plant.Dw,
     )  # fmt: skip
-    with pytest.raises(DesignError, match="z does not see a mode"):
+    with pytest.raises(DesignError, match="z does not contain a mode"):
         lqr_design(beside)
     with pytest.raises(InfeasibleError, match="none of them contains the mode at 0"):
         lqg_design(beside, np.hstack([Cy, np.zeros((len(Cy), 1))]))

@@ -441,7 +441,7 @@ def test_what_is_not_designed_is_said(tmp_path, capsys, monkeypatch, never_lost)
 
     def refuses(self, name):  # there is none, and to search takes seconds
         if name == "blind":
-            raise DesignError("norm <= 1 is passed by 600 %")
+            raise DesignError("misses norm <= 1 by 600 %")
         return design_others(self, name)
 
     monkeypatch.setattr(Designer, "design", refuses)

@@ -150,16 +150,16 @@ def test_a_force_that_hides_a_state():
 
 
 def test_a_gain_that_hides_all_is_made_of_measurements():
-    """z = 3 x1 + x2 + u: of y = z / 2 at u = 0 the gain is -2, w reaches z in no way, and so it says; of x1 alone it is not."""
+    """z = 3 x1 + x2 + u: of y = z / 2 at u = 0 the gain is -2, w does not affect z, and so it says; of x1 alone it is not."""
     plant = GeneralizedPlant(
         np.diag([-1.0, -2.0]), np.array([[1.0], [0.0]]), np.ones((2, 1)), np.array([[3.0, 1.0]]), np.eye(1), np.zeros((1, 1))
     )
     design = two_step_design(plant, plant.C / 2)
     np.testing.assert_allclose(design.gain, [[-2.0]], rtol=1e-12)  # rounding
-    assert design.case == "with this gain w reaches z in no way"
+    assert design.case == "with this gain w does not affect z"
     assert design.certificate.norm.value <= 1e-12  # rounding
     partly = two_step_design(plant, np.eye(2)[:1])
-    assert partly.case.startswith("with the right state feedback w reaches z in no way")
+    assert partly.case.startswith("with the right state feedback w does not affect z")
     assert partly.certificate.norm.value > 0.1
 
 
@@ -177,8 +177,8 @@ def test_what_is_left_out_follows():
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"D": np.zeros((2, 1))}, "some control force costs nothing: z weighs 0 of 1 independent ones"),
-        ({"A2": [[0.0]], "A21": [[1.0, 0.0]]}, "z does not see the mode at 0 rad/s, which does not decay and moves most in lag"),
+        ({"D": np.zeros((2, 1))}, "z weights only 0 of 1 independent control forces"),
+        ({"A2": [[0.0]], "A21": [[1.0, 0.0]]}, "z does not contain the mode at 0 rad/s, which does not decay and .* in lag"),
         (
             {"A2": [[0.0]], "A21": [[0.0, 0.0]]},
             "no input acts on the mode at 0 rad/s, which does not decay and appears most in lag",
@@ -226,9 +226,9 @@ def assert_certified(design: Design, plant: GeneralizedPlant, Cy: np.ndarray) ->
         # The bound is of u = K y; the sweep rounds K C_y and the loop, some 1e-16 of what is passed on, which counts at 0.
         assert heights.max() <= design.certificate.bound + 1e-14 * passed_on
     nothing = 1e-9 * float(passed_on)  # rounding
-    if "none is applied" in design.case:
+    if "no force is applied" in design.case:
         assert not np.any(design.gain)
-    if "w reaches z in no way" in design.case and "right" not in design.case:
+    if "w does not affect z" in design.case and "right" not in design.case:
         assert (heights if "this gain" in design.case else size).max() <= nothing
     if "only through Dw" in design.case and "right" not in design.case:
         shown = heights if "this gain" in design.case else size
@@ -248,7 +248,7 @@ def assert_true(reason: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
         assert any(smallest(np.vstack([plant.A - pole * eye, Cy])) < 1e-7 for pole in modes)
     elif "costs nothing" in reason:
         assert np.linalg.matrix_rank(plant.D) < m == np.linalg.matrix_rank(np.vstack([plant.B, plant.D]))
-    elif "z does not see the mode" in reason:  # an invariant zero on the imaginary axis
+    elif "z does not contain the mode" in reason:  # an invariant zero on the imaginary axis
         zeros = np.linalg.eigvals(plant.A - plant.B @ np.linalg.pinv(plant.D) @ plant.C)
         system = [np.block([[plant.A - s * eye, plant.B], [plant.C, plant.D]]) for s in zeros if abs(s.real) < 1e-6]
         assert any(smallest(pencil) < 1e-7 for pencil in system)
@@ -374,7 +374,7 @@ def test_what_a_refinement_says_is_the_norm(seed):
 
 
 TOO_LARGE = (
-    "the LMI problem has 15 unknowns, and the two-step method takes at most 14; remove states from the model"  # 10 + 4 + 1
+    "the LMI problem has 15 unknowns, and the two-step method allows at most 14; remove states from the model"  # 10 + 4 + 1
 )
 
 
@@ -383,7 +383,7 @@ def test_too_large_is_said_and_descent_goes_on(capsys, monkeypatch):
     monkeypatch.setattr("synth.design.two_step.MOST", 14)
     assert main(["--controller", "I", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
-    note = next(note for note in row["notes"] if note.startswith("not by the two steps but by descent on the norm from "))
+    note = next(note for note in row["notes"] if note.startswith("designed by descent on the norm from "))
     assert note.endswith(TOO_LARGE)
     assert row["failures"] == []
     assert row["lower_bound"] <= row["norm"] <= row["bound"]
@@ -406,19 +406,19 @@ def test_at_the_limit_the_two_steps_are_gone(designer, monkeypatch):
 def test_too_large_for_a_path(designer, monkeypatch):
     """State feedback has a limit of its own, and nothing to go on with."""
     monkeypatch.setattr("synth.lmi.central_path.MOST", 14)
-    with pytest.raises(TooLargeError, match="the LMI problem has 15 unknowns, and the central path takes at most 14"):
+    with pytest.raises(TooLargeError, match="the LMI problem has 15 unknowns, and the central path allows at most 14"):
         state_path(designer.plant)
     with pytest.raises(TooLargeError, match="controller 'state': the LMI problem has 15 unknowns"):
         Designer(designer.vehicle).design("state")
-    assert "the central path takes at most 14" in Designer(designer.vehicle).design("I").fallback_method
+    assert "the central path allows at most 14" in Designer(designer.vehicle).design("I").fallback_method
 
 
 @pytest.mark.attack
 @pytest.mark.parametrize(
     ("performance", "reason", "best"),
     [
-        ({"suspension_deflection": 1.0}, "some control force costs nothing", 0.1044),
-        ({"sprung_acceleration": 1.0}, "z does not see the mode at 0 rad/s", 7.836),  # with a weight on the force: 7.8364
+        ({"suspension_deflection": 1.0}, "z weights only", 0.1044),
+        ({"sprung_acceleration": 1.0}, "z does not contain the mode at 0 rad/s", 7.836),  # with a weight on the force: 7.8364
     ],
 )
 def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
@@ -431,8 +431,8 @@ def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
     assert designer.lower_bound(controller.measured).gamma * (1 - 1e-9) <= certificate.norm.value < best  # rounding
     assert np.abs(controller.gain).max() <= 1e5 * (1 + 1e-12)  # rounding of the scales
     note = notes(controller)[0]
-    assert note.startswith("not by the two steps but by descent on the norm from ")
-    assert f"no gain larger than 100000, for {reason}" in note
+    assert note.startswith("designed by descent on the norm from ")
+    assert f"with gains up to 100000; reason: {reason}" in note
     assert cross_check(designer, controller) is None  # Clarabel would solve another problem
     with pytest.raises(DesignError, match=f"controller 'state': {reason}") as caught:
         designer.design("state")
@@ -449,7 +449,7 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     assert found.certificate.bound is None
     assert found.certificate.failures == ()
     assert (
-        "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
+        "rounding leaves no proof of a bound, but two methods agree on the norm; reason: the LMI problem" in found.fallback_method
     )
 
 

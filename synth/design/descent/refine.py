@@ -51,10 +51,10 @@ class Refinement:
     def traded(self) -> str:
         """The trade-off in words."""
         text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
-        text += f"largest gain times {self.growth:.3g}"
+        text += f"largest gain multiplied by {self.growth:.3g}"
         if self.refused is not None:
             bought, growth = self.refused
-            text += f"; refused: {percent(bought)} more of {self.what} for {growth:.3g} times the gain"
+            text += f"; not accepted: another {percent(bought)} less {self.what} for {growth:.3g} times the gain"
         return text
 
 
@@ -86,7 +86,7 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
     shape = (plant.B.shape[1], len(Cy))
     K = real_matrix(K, "K", str(shape))
     if K.shape != shape:
-        raise InputError(f"K has shape {K.shape}; expected {shape}: a row for each force, a column for each measured signal")
+        raise InputError(f"K has shape {K.shape}; expected {shape}: one row for each force, one column for each measured signal")
     return lowered(Landscape(plant, Cy, Dyw), plant, Cy, K, Dyw)
 
 

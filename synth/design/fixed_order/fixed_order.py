@@ -54,8 +54,8 @@ ENTERED = 4  # starts of a kind that go down
 FEW = 2  # stabilising starts of a static gain, where a law may have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
 SEED = 20261126
-NO_LAW = "no law of this structure was found whose loop is stable; measure more signals, or allow more states"
-CAPPED = "an entry of the law is at the largest that the search allows: a larger one may have a lower norm, and faster poles"
+NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
+CAPPED = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
 ONE_STATE = LawStructure(1)
 Start = tuple[LinearLaw, str]
 
@@ -152,7 +152,7 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
     if law.states < states:
         few = f"{states} states" if states > 1 else "1 state"
         designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
-        why = "more were not searched" if stopped else "its norm is next to what no controller beats"
+        why = "more states were not searched" if stopped else "its norm is close to the lower bound"
         return f"{FEWER} {few} {designed} used: {why}"
     return ""
 
@@ -227,7 +227,7 @@ class _Search:
             one = replace(structure, order=order)
             starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
             if found is not None:
-                starts += [(law, "a state appended to a law of fewer") for law in self.appended(one, found[0])]
+                starts += [(law, "a law with one state less") for law in self.appended(one, found[0])]
             with contextlib.suppress(DesignError, np.linalg.LinAlgError):
                 last = order == structure.order
                 found = self.ended(one, starts, "", whole=last, sought=MOST if last and found is None else 0)
@@ -267,7 +267,7 @@ class _Search:
         )
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        return law, "many starts, as long as a growing gain is worth it; its loop keeps a tenth of the decay of its start"
+        return law, "many starts, unless the gain grows too much; its loop keeps a tenth of the decay of its start"
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
         """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.

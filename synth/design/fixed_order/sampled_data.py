@@ -73,6 +73,6 @@ def sampled_fixed_order(
             break
         level = norm
     if law is None:
-        raise DesignError(str(failure) if failure else "no law was found whose sampled loop is stable")
+        raise DesignError(str(failure) if failure else "no law with a stable sampled loop was found")
     remarks = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
     return SampledFullOrderDesign(law, norm, "; ".join([*remarks, *[remark] * bool(remark)]))

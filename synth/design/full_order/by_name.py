@@ -72,9 +72,9 @@ def named_design(
     quadratic = quadratic_design(name, plant, Cy, states, noise, Dyw)
     # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
     heard = {"lqg": noise, "h2": Dyw}.get(name)
-    beside = {"lqg": ", and sensors have their noise", "h2": ", and sensors have the noise that w contains"}
+    beside = {"lqg": ", with noise of the sensors", "h2": ", with noise of w on the sensors"}
     best = (
-        f"smallest mean square of z: H2 norm {digits(quadratic.h2_norm)}, the rms of z for a road velocity of white noise of "
-        f"intensity 1{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
+        f"minimises the mean square of z: the H2 norm is {digits(quadratic.h2_norm)}, the rms of z if road velocity is white "
+        f"noise of intensity 1{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
     )
     return NamedDesign(quadratic.law, quadratic.certificate, (best, *([quadratic.remark] if quadratic.remark else [])))

@@ -61,8 +61,8 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
     at_once = np.eye(len(D)) + D @ where.Dyu
     if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ where.Dyu, 2)):
         raise DesignError(
-            "the full-order law would be infinite at z = -1, where the plant has a pole; take that "
-            "pole out of the model, or design a static gain"
+            "the full-order law would be infinite at z = -1, where the plant has a pole; remove this pole from the model, or "
+            "design a static gain"
         )
     after = np.linalg.inv(at_once)
     taken = B @ where.Dyu @ after
@@ -263,9 +263,8 @@ def full_order_design(
             raise DesignError(str(lost[0])) from lost[0]
         if trade:
             raise DesignError(
-                "no law was found that keeps all poles of its loop within fastest_pole = "
-                f"{rough(fastest * search.fastest)} rad/s; the slowest loop has a pole of {rough(trade[0].pole)} rad/s: "
-                "give at least that"
+                f"no law was found that keeps all poles of its loop within fastest_pole = {rough(fastest * search.fastest)} "
+                f"rad/s; the slowest loop needs fastest_pole = {rough(trade[0].pole)}: give at least this value"
             )
         raise DesignError(
             "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
@@ -285,7 +284,7 @@ def full_order_design(
         found += static_gains(search, much, min((each.norm for each in found), default=np.inf))
     laws = pareto_front([each for each in found if fits(each)])
     size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
-    undescended = f"; no descent: of a law of {size} numbers it would take too long, {MOST} are the most" * (size > MOST)
+    undescended = f"; no descent was tried: the law has {size} numbers, and {MOST} are the most" * (size > MOST)
     while (best := select(laws, fastest)) is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             own = proved(best, laws)
@@ -300,10 +299,10 @@ def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[Lin
     """Returns the cost of a law that is stable by itself compared with an unstable one, in words."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
-    price = "at no price" if share <= WITHIN else f"its norm is {percent(share)} higher"
+    price = "the norm is no higher" if share <= WITHIN else f"the norm is {percent(share)} higher"
     slowest = f", its slowest pole {rough(_slowest(as_run(own.law)))} 1/s" if own.law.states else ", without states"
     growth = rough(as_run(other.law).growth)
-    return f"stable by itself{slowest}; against {digits(norms[1])} of an unstable law (+{growth} 1/s) {price}"
+    return f"stable by itself{slowest}; compared with {digits(norms[1])} of an unstable law (+{growth} 1/s), {price}"
 
 
 def _slowest(law: LinearLaw) -> float:
@@ -316,13 +315,13 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
     """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
-    above = f"{percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
+    above = f"the norm is {percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
     least = min((each.norm for each in trade), default=best.norm) * (1 + WITHIN)
     if best.norm <= least:
-        return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
+        return f"{above}: no faster controller that was tried comes closer; the bound may be out of reach"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
-    other = f"the nearest that was found, norm {rough(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s"
-    return f"{above}: {other}, and this one's fastest is {best.pole:.3g} rad/s"
+    other = f"the closest law that was found, norm {rough(nearer.norm)}, has a pole of {nearer.pole:.3g} rad/s"
+    return f"{above}: {other}, but the fastest pole of this law is {best.pole:.3g} rad/s"
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
@@ -332,8 +331,8 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     slower = [each for each in trade if each.excess == 1]
     more = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {rough(slower[-1].norm)}" if slower else ""
     return (
-        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
-        f"{1 / best.pole:.1g} s or more cannot run it{more}"
+        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the fastest of the plant: a computer with a "
+        f"sample period of {1 / best.pole:.1g} s or more cannot run this law{more}"
     )
 
 

@@ -77,7 +77,7 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     rows = state_rows(plant, Cy)
     lqr = lqr_design(plant, states)
     if lqr.remark:
-        raise DesignError("a preview design needs a weight on every force, but one has none; give it one in [performance]")
+        raise DesignError("a preview design needs a weight on every control force; give each force a weight in [performance]")
     units = own_units(plant, np.eye(len(plant.A)))
     own, K = units.into(plant), lqr.law.D * units.states / units.inputs[:, None]
     closed, cost = own.A + own.B @ K, own.C + own.D @ K

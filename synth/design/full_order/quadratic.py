@@ -30,7 +30,7 @@ from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
-AT_ONCE = ", without its direct effect on z, which has infinite power"
+AT_ONCE = ", without its direct effect on z, whose power is infinite"
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
 LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
@@ -227,11 +227,11 @@ def _design(
             raise
         what = "noise of a measurement" if least < least_cost else "cost of a force"
         raise DesignError(
-            f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too little for floats: give more, or "
-            f"omit it to use {100 * ASSUMED:g} %"
+            f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too small for floating point: give "
+            f"more, or omit it to use {100 * ASSUMED:g} %"
         ) from error
-    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
-    remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
+    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed for what is missing"
+    remark = f"this design needs {' and '.join(assumed)}; {share}" if assumed else ""
     larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
     return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
 
@@ -258,16 +258,16 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
         DesignError: a Riccati equation has no solution.
     """
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
-    assumed = ["a cost for forces that z does not weigh"] if len(cost) else []
-    K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
+    assumed = ["a cost of every force"] if len(cost) else []
+    K = _regulator(A, B, C, D, cost, "z does not contain a mode that neither decays nor grows; weight a signal that contains it")
     if all_known:
         return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
-    unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
+    unreached = "w does not disturb a mode that neither decays nor grows; add a disturbance of this mode"
     known = _known(own)
     rest, states = np.delete(np.arange(len(own.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
     A, B, Cy = A[np.ix_(states, states)], B[states], own.Cy[np.ix_(rest, states)]
     L = _regulator(A.T, Cy.T, own.plant.Bw[states].T, own.Dyw[rest].T, unheard, unreached).T
-    assumed += ["noise on measurements that have none"] if len(unheard) else []
+    assumed += ["noise on every measurement"] if len(unheard) else []
     into, direct = np.zeros((len(A), len(own.Cy))), np.zeros((len(K), len(own.Cy)))
     into[:, rest] = -L
     for row, state in known.items():

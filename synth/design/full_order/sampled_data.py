@@ -107,12 +107,12 @@ def sampled_full_order(
             break
         level = norm
     if best is None:
-        raise DesignError(str(failure) if failure else "no law was found whose sampled loop is stable")
+        raise DesignError(str(failure) if failure else "no law with a stable sampled loop was found")
     if goal and best.norm <= goal * (1 + WITHIN):
         return best
     above = f"{percent(best.norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"
-    stopped = "" if ended else f"; stopped after laws of {rounds} levels"
-    return SampledFullOrderDesign(best.law, best.norm, f"{above}: none of the laws that were tried comes nearer{stopped}")
+    stopped = "" if ended else f"; the search stopped after {rounds} levels"
+    return SampledFullOrderDesign(best.law, best.norm, f"{above}: no law that was tried comes closer{stopped}")
 
 
 def _as_run(law: LinearLaw, where: Mapped, period: float) -> LinearLaw:

@@ -101,9 +101,9 @@ def multi_objective_design(
         array([[-5.]])
     """
     if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
-        raise InputError("decay, in rad/s, is for continuous plants only; omit it and bound a norm instead")
+        raise InputError("decay [rad/s] is for continuous plants only; omit it and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
-        check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
+        check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "the shape of the structure")
     search = MinimaxSearch(problem, on_progress)
     x, evaluation, refused = search.result(starts, otherwise)
     return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)

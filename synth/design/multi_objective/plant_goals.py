@@ -116,7 +116,7 @@ def _signal(where: str, plant: GeneralizedPlant, row: int, bound: EnergyBound, D
     """The row of z that is bounded for disturbances of given energy."""
     if np.any(plant.Dw[row]) or Dyw is not None or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: an energy_peak of {bound.signal}, which has w, noise or samples in it; bound a norm instead"
+            f"{where} bounds: energy_peak of {bound.signal} is infinite, as w, noise or samples act on it directly; bound a norm"
         )
     name = f"{bound.signal} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

@@ -65,11 +65,11 @@ class MeasuredPlant(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_shape("Cy", self.Cy, (len(self.Cy), len(self.plant.A)), "as the plant has so many states")
+        check_shape("Cy", self.Cy, (len(self.Cy), len(self.plant.A)), "a column for each state of the plant")
         if self.Dyw is not None:
-            check_shape("Dyw", self.Dyw, (len(self.Cy), self.plant.Bw.shape[1]), "as Cy and the plant's disturbances say")
+            check_shape("Dyw", self.Dyw, (len(self.Cy), self.plant.Bw.shape[1]), "rows of Cy by columns of Bw")
         if self.through is not None:
-            check_shape("through", self.through, (len(self.Cy), self.plant.B.shape[1]), "as Cy and the plant's inputs say")
+            check_shape("through", self.through, (len(self.Cy), self.plant.B.shape[1]), "rows of Cy by inputs of the plant")
 
     def acting(self, K: Array) -> Array:
         """Returns the gain on C_y x + Dyw w that acts as K on the measurements, (I - K through)^-1 K, shape (m, q).
@@ -168,18 +168,18 @@ class MultiObjectiveProblem(Checked):
         m, q = plant.B.shape[1], len(Cy)
         if not m or not q:
             raise InputError(f"members have {m} inputs and {q} measurements; give at least one of each")
-        check_shape("structure", self.structure, (m, q), "as a plant has so many inputs, and so many signals are measured")
+        check_shape("structure", self.structure, (m, q), "a row for each input, and a column for each measured signal")
         check_shape("tolerance.sensors", self.tolerance.sensors, (q,), "one for each measured signal")
         check_shape("tolerance.forces", self.tolerance.forces, (m,), "one for each input")
         for name, members in (("peaks", [len(member.driven_by) for member in self.members]), ("bests", [len(self.members)])):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
-                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each that it is about")
+                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each peak or member")
         fewest = min(len(member.posed) for member in self.members)
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
-                    f"norm {goal.name!r} has which = {goal.which}, and a member has {fewest} posed; give one of these"
+                    f"norm {goal.name!r} has which = {goal.which}, but a member has {fewest} plants posed; give a smaller index"
                 )
 
     @property

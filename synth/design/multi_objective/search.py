@@ -64,8 +64,8 @@ MET = 1e-6  # relative: errors with a smaller effect are ignored
 ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative: what a descent still gains where it ends, while errors violate it, and at last
 SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
 UNSTABLE = (
-    "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
-    "more signals and entries of the gain"
+    "no static gain was found that stabilises every loop of the goals; give a smaller tolerance, fewer vehicles, or more "
+    "signals and entries of the gain"
 )
 RANK = 30.0  # weight of a start's excess over a bound
 
@@ -360,5 +360,5 @@ class MinimaxSearch:
 
     def explain_infeasibility(self, x: Array) -> str:
         """Returns the message with the bounds that the search could not keep, and by how much."""
-        passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.minimax.passed(x).items())
-        return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"
+        passed = " and ".join(f"{name} by {percent(share)}" for name, share in self.minimax.passed(x).items())
+        return f"no gain was found that keeps all bounds; the nearest misses {passed}; relax these bounds, or measure more"

@@ -27,7 +27,7 @@ def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProble
         try:
             bests.append(run_search(asked.alone(i)).goal)
         except DesignError as error:
-            raise DesignError(f"family[{i}] by itself: {error}") from error
+            raise DesignError(f"family[{i}] alone: {error}") from error
     return replace(asked, bests=tuple(bests))
 
 
@@ -70,7 +70,6 @@ def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
     if design.rejected_improvement is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: "
-        f"{percent(design.rejected_improvement)} less for "
-        "up to twice the gain",
+        "designed for its goals, by descent from the two steps and other starts; not accepted: "
+        f"{percent(design.rejected_improvement)} less for up to twice the gain",
     )

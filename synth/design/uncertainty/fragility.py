@@ -258,7 +258,7 @@ def fragility_object(
 
 def whose(report: Fragility) -> str:
     """Returns the erroneous quantities in words."""
-    return "readings and forces" if len(report.stable.forces) > 1 else "readings"
+    return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 
 def _percents(share: float, form: str = ".4g") -> str:
@@ -275,16 +275,16 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     """Returns the fragility of a law as a sentence."""
     found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
     if not math.isfinite(found):
-        return f"fragile: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
-    return f"fragile: errors of {whose(report)} of {_percents(found)} ({errors}) make the loop unstable; {proved}"
+        return f"fragility: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
+    return f"fragility: errors of {whose(report)} of {_percents(found)} ({errors}) make the loop unstable; {proved}"
 
 
 def proved_text(report: Fragility, norms: bool = True) -> str:
     """Returns the proved margins in words, those of the norm if requested."""
     proved = report.stable.proved_margin
-    text = f"stable with each off by up to {_percents(proved)}, which is proved" if proved else "stability is not proved"
+    text = f"stability is proved for each error up to {_percents(proved)}" if proved else "stability is not proved"
     for share, one in report.within.items() if norms else ():
-        beyond = f", and exceeded at {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
+        beyond = f", and errors of {_percents(one.smallest_violation)} exceed it" if math.isfinite(one.smallest_violation) else ""
         proved = f"proved for errors up to {_percents(one.proved_margin)}" if one.proved_margin else "not proved for any error"
         text += f"; a norm at most {_percents(share)} higher is {proved}{beyond}"
     return text
@@ -298,4 +298,4 @@ def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
         share = one.norm.value / norm - 1
         change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
         said.append(f"{name} {digits(one.norm.value)} ({change}{bound})" if one.stable else f"{name} UNSTABLE")
-    return f"norm with the law's numbers as {'; as '.join(said)}" if said else ""
+    return f"norm with rounded numbers of the law: {'; '.join(said)}" if said else ""

@@ -56,7 +56,7 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
     """
     (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
     width = np.zeros(columns + rows)
-    width[:q] = _tolerance(d, q, "d of readings") * np.any(gain.K[:, :q], axis=0)
+    width[:q] = _tolerance(d, q, "d of measurements") * np.any(gain.K[:, :q], axis=0)
     width[columns : columns + m] = _tolerance(e, m, "e of forces") * np.any(gain.K[:m], axis=1)
     return Box(1 - width, 1 + width)
 
