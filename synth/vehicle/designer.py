@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 
 STATE_ALONE = (
-    "filters have states that nothing measures: this is a static gain on the vehicle's own, designed as any other "
-    "output feedback is"
+    "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
+    "feedback"
 )
 
 
@@ -40,7 +40,7 @@ def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
 
-NOT_REFINED = "and --refine changes static gains, which have no integral; omit --refine"
+NOT_REFINED = "but --refine changes static gains, which have no integral; omit --refine"
 
 
 def designed(entry: ControllerEntry, design: Design, posed: Problem) -> Controller:

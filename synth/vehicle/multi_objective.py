@@ -139,8 +139,7 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
         )
     if any(entry.hardware.noise):
         raise InputError(
-            f"{where} is an energy_peak, for roads without noise, and [controllers.{entry.name}] has noise = true; omit one "
-            "of them"
+            f"{where} is an energy_peak, which allows no noise, but [controllers.{entry.name}] has noise = true; omit one of them"
         )
     _refuse_pushed(where, vehicle, (bound.signal, *entry.measured))
     c, g = measurements(vehicle, [bound.signal], bandwidth)
@@ -157,7 +156,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, and a bound on a peak is for the road alone; omit the loads")
+        raise InputError(f"{where} has loads, but a peak is bounded over the road alone; omit the loads")
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
@@ -186,15 +185,15 @@ def goals_design(
     said = [*remarks(design)]
     if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
         said.append(
-            f"no bound limits the norm outside its band, where it is {digits(certificate.norm.value)}; "
-            "give bounds = [{ norm = ... }]"
+            f"the norm has no bound outside the band of the goal, and is {digits(certificate.norm.value)}; to limit it, give "
+            "bounds = [{{ norm = ... }}]"
         )
     if goals.structure is not None and not np.all(problem.structure):
         full = replace(problem, structure=np.ones_like(problem.structure))
         goal = improved_goal(full, design, on_progress)  # which descends from the design for a limited number of rounds
         said.append(
-            f"its structure costs at least {percent(design.goal / goal - 1)}: a gain with every entry comes to {digits(goal)}, "
-            "and may come further"
+            f"the structure costs at least {percent(design.goal / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
+            "and may reach a lower value"
         )
     promises = Verification(vehicle, entry, goals, bests, design.gain).promises()
     return Controller.of(entry, law, certificate, remarks=tuple(said), specifications=promises)

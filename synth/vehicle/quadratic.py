@@ -57,8 +57,8 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
         ahead = RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)
     best = (
-        f"smallest mean square of z with the road {entry.preview:g} s ahead: H2 norm {digits(design.h2_norm)}, and "
-        f"{digits(design.without)} without it, the rms of z if road velocity is white noise of intensity 1"
-        f"{AT_ONCE if np.any(posed.plant.Dw) else ''}"
+        f"minimises the mean square of z with the road {entry.preview:g} s ahead: the H2 norm is {digits(design.h2_norm)} "
+        f"({digits(design.without)} without preview), the rms of z if road velocity is white noise of intensity "
+        f"1{AT_ONCE if np.any(posed.plant.Dw) else ''}"
     )
     return Controller.of(entry, law, design.certificate, remarks=(best,), preview=ahead)

@@ -40,15 +40,13 @@ def sampled_design(
     with contextlib.suppress(DesignError):
         known = [ideal().law.D]
     designed = held_design(held, lower_bound.gamma or 1.0, known)
-    level = f", whose norm the LMI promises to be at most {digits(designed.level)}" if designed.level is not None else ""
-    reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
+    level = f", whose norm is at most {digits(designed.level)} by the LMI" if designed.level is not None else ""
+    reads = ", without measuring the delayed forces" if vehicle.implementation.delay else ""
     controller = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
     return replace(
         controller,
         redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
-        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
-        if designed.instead
-        else "",
+        fallback_method=f"designed by descent on the sampled norm; reason: {designed.instead}" if designed.instead else "",
     )
 
 
@@ -78,7 +76,7 @@ def sampled_refinement(
     """
     refinement = refined_further(held_problem(vehicle, entry), start.law.D, lower_bound.gamma or 1.0)
     gain = static_law(refinement.gain)
-    controller = _controller(entry, posed, lower_bound, gain, "designed for the sampled loop, and refined there")
+    controller = _controller(entry, posed, lower_bound, gain, "designed and refined for the sampled loop")
     return RefinedController(replace(controller, redundant=start.redundant), start, "", refinement)
 
 
@@ -91,5 +89,5 @@ def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound,
     try:
         certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise DesignError(f"the law for the sampled loop has no ideal loop: {error}") from error
+        raise DesignError(f"the law for the sampled loop cannot be converted to the ideal loop: {error}") from error
     return Controller.of(entry, law, certificate, remarks=(remark,), sampled=True)

@@ -35,7 +35,7 @@ from synth.plant.generalized import GeneralizedPlant
 if TYPE_CHECKING:
     from models.laws.law_structure import LawStructure
 
-SAMPLED = "robust stability and performance (mu) are of the continuous loop, not of the sampled one"
+SAMPLED = "robust stability and performance (mu) are those of the continuous loop, not of the sampled one"
 
 
 def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
@@ -107,8 +107,8 @@ def robust_controller(
     law = replace(best[0].law, anti_windup=entry.anti_windup)
     certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
     remark = (
-        f"designed for the smallest robust performance (mu), alternately with the scales of its errors; the law with the "
-        f"smallest norm, {digits(nominal.certificate.norm.value)}, has {digits(first.gamma)}"
+        "designed for the smallest robust performance (mu), by design and scaling of errors in turn; the law with the smallest "
+        f"norm, {digits(nominal.certificate.norm.value)}, has mu = {digits(first.gamma)}"
     )
     return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
 

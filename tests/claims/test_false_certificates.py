@@ -331,5 +331,5 @@ def test_said_by_check(vehicles, capsys):
     """`synth --check` of a false claim exits with 1 and names it; of a claim that is not a number, with 2 and one line."""
     assert synth(["--check", str(vehicles["false"]), "--controller", GIVEN]) == 1
     assert "FAILS: the certificate claims that the norm is" in capsys.readouterr().out
-    with pytest.raises(InputError, match="norm = 'low' in a certificate is not a number"):
+    with pytest.raises(InputError, match="norm = 'low' in a certificate must be"):
         synth(["--check", str(vehicles["broken"]), "--controller", GIVEN])

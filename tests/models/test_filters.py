@@ -157,7 +157,7 @@ def test_designs_with_filters(lines):
         assert not certificate.failures
         assert certificate.lower_bound is not None
         assert certificate.lower_bound <= certificate.norm.value * (1 + 1e-9)  # rounding of the norm
-        assert ("states that nothing measures" in controller.degeneracy) == (name == "state")
+        assert ("states of filters are not measured" in controller.degeneracy) == (name == "state")
         omega = np.append(OMEGA, certificate.norm.peak_frequency)
         z = vehicle.weights(omega) * (
             continuous_frequency_response(vehicle, controller, omega)[..., 0] * vehicle.road_shape(omega)[:, None]

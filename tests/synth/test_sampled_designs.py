@@ -222,7 +222,7 @@ def test_never_worse_than_what_is_there(name, controller, period, delay):
     reached = norm_as_implemented(vehicle, built).value
     others = [norm_as_implemented(vehicle, ideal).value, norm_as_implemented(vehicle, designer.design("passive")).value]
     assert reached <= min(others) * (1 + 2e-7)  # how near a level counts as reached, and the rounding of two norms
-    assert built.fallback_method.startswith("designed by descent") == ("promises" not in built.remarks[0])
+    assert built.fallback_method.startswith("designed by descent") == ("by the LMI" not in built.remarks[0])
 
 
 @pytest.mark.attack

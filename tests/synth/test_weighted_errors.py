@@ -206,7 +206,7 @@ def test_of_the_continuous_loop():
     """Beside a sample period a line says that mu is of the continuous loop."""
     text = CAR.format(tolerance="{ force = { weight = 0.1 } }") + "[implementation]\nsample_period = 0.01\n"
     done = printed("synth", "--vehicle", "car.toml", "--controller", "soft", "-v", files={"car.toml": text})
-    assert "robust stability and performance (mu) are of the continuous loop" in " ".join(done.out.split())
+    assert "robust stability and performance (mu) are those of the continuous loop" in " ".join(done.out.split())
 
 
 def test_one_error_by_brute_force():

@@ -42,21 +42,21 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
         Field[Cost]("lost late", lambda one: _lost(one.lost_late)),
     ]
     alone = [one.controller.name for one in costs if one.controller.preview is not None]
-    texts = statements((name, "the norm is that of the feedback alone, without the road ahead") for name in alone)
+    texts = statements((name, "the norm is that of the feedback without the preview") for name in alone)
     plain = lag and any(one.controller.hardware.bandwidth is None for one in costs)
     texts += [*notes(*(about(costs[0], lag if plain else "", "designed" in kinds) for _ in costs[:1]))]
-    caption = "The slowest sample rate that is cheap, its change of the norm, and the highest rate without stability."
+    caption = "The slowest sample rate with little loss, the change of the norm there, and the highest unstable rate."
     tables = [_table(one, lag, "normal" if len(costs) <= FEW else "full") for one in costs]
     return Document("Sample rates", (Table.of("rates", caption, fields, costs, detail="brief"), *texts, *tables))
 
 
 def about(one: Cost, lag: str, designs: bool) -> str:
     """Returns the explanation of the columns; `lag` is that of the actuators in words, which the design table leaves out."""
-    designed = "designed: with a gain designed for this rate; " if designs else ""
+    designed = "designed: change with a gain designed for this rate. " if designs else ""
     text = (
-        f"cheap: the slowest rate that raises the norm by {percent(LITTLE)} or less, or the fastest. at once, late: change of "
-        f"the norm with forces that act at once, or {delay_text(one.delay)}; {designed}lost: highest unstable rate, - if "
-        f"none down to {1 / LONGEST_PERIOD:g} Hz."
+        f"cheap: the slowest rate that raises the norm by at most {percent(LITTLE)}, or else the fastest rate. at once, late: "
+        f"change of the norm if forces act at once, or {delay_text(one.delay)}. {designed}lost: the highest unstable rate, - if "
+        f"none is found down to {1 / LONGEST_PERIOD:g} Hz."
     )
     return f"{text} Norms include {lag}; those of the design table do not." if lag else text
 
@@ -66,9 +66,9 @@ def _table(one: Cost, lag: str, detail: Detail) -> Document:
     ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name
-    title = f"controller {name}: norm in continuous time{', with ' if lag else ''}{lag} {ideal}{bound}"
+    title = f"controller {name}: norm in continuous time{', with ' if lag else ''}{lag} is {ideal}{bound}"
     fields = [RATE, *(Field[AtRate](label, partial(_cell, one, KINDS[label])) for label in [*KINDS][: 2 + one.redesigned])]
-    table = Table.of(f"rates-{name}", "The norm at each rate, and its change from continuous time.", fields, one.rates)
+    table = Table.of(f"rates-{name}", "The norm at each rate, and its change relative to continuous time.", fields, one.rates)
     missing = by_text((f"{1e3 * at.period:g} ms", re.split("[:;]", at.undesigned)[0]) for at in one.rates if at.undesigned)
     return Document(title, (table, *notes(*(f"no design at {rates}: {why}" for why, rates in missing.items()))), detail)
 
@@ -169,8 +169,8 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
         periods: requested ones [s], which are marked.
     """
     title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: norm of the loop as a computer closes it, over its sample period; a curve "
-        "ends where the loop is unstable"
+        f"{vehicle.kind.name.replace('_', ' ')}: norm of the sampled-data loop over its sample period; a curve ends where the "
+        "loop is unstable"
     )
     panels = tuple(_panel(one, periods) for one in costs)
     return Figure("rates", title, panels, min(2, len(panels)))

@@ -66,7 +66,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
             f"--front {quoted(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
-            f"{listing(AXES)}, a colon between them, e.g. ride:travel"
+            f"{listing(AXES)}, separated by colons, such as ride:travel"
         )
     axes: list[FrontAxis] = []
     for part in parts:
@@ -104,12 +104,12 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
             raise InputError(
-                f"--front tolerance={given}: not an error; give one above 0, up to 90, in percent, e.g. tolerance=10"
+                f"--front tolerance={given} is not an error in percent; give a number above 0 and up to 90, such as tolerance=10"
             )
         off = float(given) / 100
     if vehicle.filtered:
         raise InputError("--front tolerance: filters in [performance] cannot be combined with measurement errors; omit tolerance")
-    text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
+    text = f"worst norm of z in [performance] if each measurement is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
 
 
@@ -119,7 +119,7 @@ def _edges(given: str) -> tuple[float, float]:
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
         raise InputError(
-            f"--front band={given}: not a band; give its lower and upper end, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
+            f"--front band={given} is not a band; give lower and upper end, from {LOWEST:g} to {HIGHEST:g} Hz, such as band=4-8"
         )
     return low, high
 
@@ -132,7 +132,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(f"--front {axis} needs accelerations, and [performance] weights none; weight one there, or omit {axis}")
+        raise InputError(f"--front {axis} needs accelerations, but [performance] weights none; weight one there, or omit {axis}")
     return weights
 
 
@@ -152,7 +152,7 @@ def _weighed(signals: Mapping[str, float]) -> str:
 def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
     """Returns the unit of a norm of accelerations, or "weighed" if weights or units differ."""
     units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
-    return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighed, per m/s"
+    return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighted, per m/s"
 
 
 MOST_READINGS = 4  # with errors: all their corners count
@@ -209,7 +209,7 @@ def _corners(axis: FrontAxis, readings: int) -> list[Array]:
         return [np.zeros(readings)]
     if readings > MOST_READINGS:
         raise InputError(
-            f"--front {axis.name} takes a controller of at most {MOST_READINGS} readings, and this one has {readings}; leave "
-            f"{axis.name} out, or give another with --controller"
+            f"--front {axis.name} allows at most {MOST_READINGS} measurements, but this controller has {readings}; omit "
+            f"{axis.name}, or give another controller with --controller"
         )
     return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]

@@ -161,7 +161,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
         raise InputError(f"--front cannot design static gains like {name!r}: {why}; give another controller with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(f"controller {name!r}: --front designs static gains, which have no integral; omit that in [performance]")
+        raise InputError(f"controller {name!r}: --front designs static gains, which have no integral; omit it in [performance]")
     return entry
 
 
@@ -211,7 +211,7 @@ def _others(
         if all(np.isfinite(norm.value) for norm in norms):
             yield name, Point(controller, norms)
         else:
-            yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
+            yield name, "its loop is unstable" if not controller.certificate.stable else "its loop is unstable with errors"
 
 
 def _limits(

@@ -60,7 +60,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     controller = front.points[0].controller
     spans, *beaten = _results(front)
     gains = f"All designs are static gains on {', '.join(controller.measured)}. {meanings}."
-    caption = "Some points of the front: proved norms and gains."
+    caption = "Some designs of the front: proved norms and gains."
     return Document(
         "Trade-off between objectives",
         (
@@ -83,9 +83,9 @@ def _results(front: Front) -> list[str]:
         better = np.flatnonzero(np.all(front.values < one.values, axis=1)) + 1
         beaten[one.controller.name] = f"{len(better)} (such as point {better[len(better) // 2]})" if len(better) else "none"
     texts = [f"{len(front.points)} certified designs, none better than another on all axes: {ends}."]
-    texts += [f"{front.unproved} other designs are omitted, as a claim could not be proved."] if front.unproved else []
-    alike = ", ".join(f"than {names} {text}" for text, names in by_text(beaten.items()).items())
-    return [*texts, f"Designs that are better on all axes: {alike}."] if alike else texts
+    texts += [f"{front.unproved} other designs are omitted, because a claim about them is not proved."] if front.unproved else []
+    alike = ", ".join(f"{text} than {names}" for text, names in by_text(beaten.items()).items())
+    return [*texts, f"Designs of the front that are better on all axes: {alike}."] if alike else texts
 
 
 def front_object(front: Front) -> dict[str, Any]:
@@ -152,8 +152,8 @@ def _limit_texts(front: Front) -> list[str]:
         first, second = (front.axes[k].name for k in limit.axes)
         shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
-        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}, at {MUJOCO.digits(float(shares[i]))} times"
-        no = f"nothing is proved about {first} and {second} together"
+        near = f"point {i + 1} is nearest to the lower bound on {first} and {second}: {MUJOCO.digits(float(shares[i]))} times"
+        no = f"no lower bound on {first} and {second} together is proved"
         texts.append(f"Limit: {f'{near} the bound' if math.isfinite(shares[i]) else no}.")
     return texts
 
@@ -214,7 +214,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     # Several wheels that meet one road need not reach the norm; such a point would seem to cross the line.
     alone = len(front.vehicle.kind.wheels) == 1
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
-        label = "MuJoCo on one sinusoid, which reaches the norm from below"
+        label = "MuJoCo on one sinusoid, which approaches the norm from below"
         curves.append(Curve(measured[:, i], measured[:, j], label, MEASURED, "none", "x", name="MuJoCo"))
     away = [
         f"{name} ({ROUGH.digits(x)}, {ROUGH.digits(y)})"
@@ -223,7 +223,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     ]
     title = f"{front.axes[i].name} and {front.axes[j].name}".replace("_", " ")
     if away:
-        title += f"; beyond: {', '.join(away)}"
+        title += f"; outside the picture: {', '.join(away)}"
     return Panel(title, front.axes[i].label, front.axes[j].label, tuple(curves), xlim=ranges[0], ylim=ranges[1])
 
 
