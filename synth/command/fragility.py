@@ -55,10 +55,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
         *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
         *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
     ]
-    text = (
-        "Relative errors of all measurements and forces: the largest that is proved harmless, then the smallest that is found "
-        "harmful. Columns int16 and float16: the norm after rounding the numbers of the law."
-    )
+    text = "Errors of all signals: largest proved harmless, then smallest found harmful. int16, float16: norm of the rounded law."
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 

@@ -299,7 +299,7 @@ def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[Lin
     """Returns the cost of a law that is stable by itself compared with an unstable one, in words."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
-    price = "the norm is no higher" if share <= WITHIN else f"the norm is {percent(share)} higher"
+    price = "the norm does not rise" if share <= WITHIN else f"the norm rises by {percent(share)}"
     slowest = f", its slowest pole {rough(_slowest(as_run(own.law)))} 1/s" if own.law.states else ", without states"
     growth = rough(as_run(other.law).growth)
     return f"stable by itself{slowest}; compared with {digits(norms[1])} of an unstable law (+{growth} 1/s), {price}"
