@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from synth.design.descent.landscape import Work
 
 KNOW_NO_NOISE = "the two steps ignore noise of measurements"
-NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
+NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero

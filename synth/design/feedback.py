@@ -80,7 +80,7 @@ class FeedbackDesign(Shown):
             InputError: the law has states.
         """
         if self.law.states:
-            raise InputError(f"the law has {states_text(self.law)}, so no gain alone is the controller; use its law")
+            raise InputError(f"the law has {states_text(self.law)} and is not only a gain; use its attribute law")
         return self.law.D
 
     @property
@@ -292,7 +292,7 @@ class _Asked:
         result, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
         certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
         said = [result.case, f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""]
-        why = result.instead or went_on or "the two steps lead to a gain whose certificate holds"
+        why = result.instead or went_on or "the two steps find a gain whose certificate holds"
         method = DESCENT if result.instead else BOTH if went_on else TWO_STEPS
         remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
         return FeedbackDesign(static_law(result.gain), certificate, method, why, remark, certificate.norm.value)
@@ -402,12 +402,12 @@ class _Asked:
             gain = held_design(problem, near, known, work)
             law, norm, bound = static_law(gain.gain), gain.norm, find_sampled_bound(problem, near)
             distance = percent(norm / bound.level - 1) if bound and bound.level else ""
-            remark = f"{distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
+            remark = f"norm {distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (
                 f"the two steps were not used: {gain.instead}"
                 if gain.instead
-                else "the two steps lead to a gain of this sampled norm"
+                else "the two steps find a gain of this sampled norm"
             )
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
         said = [remark, "the certificate is that of the ideal loop, without sampling and delay"]

@@ -264,7 +264,7 @@ def _gain(
         if _may_fall(problem, reached):
             moved, reached = _lower(problem, moved, reached, far, work)
         if not np.isfinite(reached):
-            tried = f"descent on the sampled norm, no start of which is stable; the two steps: {failure}"
+            tried = f"descent on the sampled norm, but no start was stable; the two steps: {failure}"
             raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
         why = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
     why += f"; {work.text}" if work.over else ""

@@ -146,8 +146,8 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
     if lost(best) <= LOST:
         raise InputError(
-            "the plant has a pole at z = -1 that no feedback of the measured signals moves; take it out of the model, or add an "
-            "actuator that acts on it or a measurement that it shows in"
+            "the plant has a pole at z = -1 that no feedback of the measured signals moves; remove this pole from the model, or "
+            "add an actuator that acts on it or a measurement that contains it"
         )
     return best
 

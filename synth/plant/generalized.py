@@ -241,7 +241,7 @@ def check_posed(plant: GeneralizedPlant) -> None:
     if not (np.any(plant.Bw) or np.any(plant.Dw)):
         raise InputError("the plant has no disturbance: Bw and Dw are zero; give at least one nonzero entry")
     if not (np.any(plant.C) or np.any(plant.D)):
-        raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+        raise InputError("the controlled output z is zero, as C and D are zero; give at least one signal a weight above zero")
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:

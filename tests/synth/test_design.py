@@ -252,7 +252,7 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"C": np.zeros((0, 2)), "D": np.zeros((0, 1)), "Dw": np.zeros((0, 1))}, "C has no rows"),
         ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so there is no norm from w to z"),
         ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
-        ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
+        ({"C": np.zeros((2, 2))}, "the controlled output z is zero"),
         ({"dt": -0.01}, "dt = -0.01 is not a sample period.*give the seconds between samples"),
         ({"dt": float("nan")}, "dt = nan is not a sample period.*give the seconds between samples"),
         ({"dt": True}, "dt = True is not a number"),

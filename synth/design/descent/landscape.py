@@ -143,7 +143,7 @@ class Work:
     @property
     def text(self) -> str:
         """Reason why a search stopped, in words."""
-        return f"the search stopped at its limit of {self.limit:g} norms of loops"
+        return f"the search stopped at its limit of {self.limit:g} computed norms"
 
 
 def price(states: int, entries: int) -> float:

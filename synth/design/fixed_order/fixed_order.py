@@ -79,7 +79,7 @@ class FixedOrderDesign:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Its remark and its origin, in words."""
-        return (*([self.remark] if self.remark else []), f"by descent on the norm from {self.origin}")
+        return (*([self.remark] if self.remark else []), f"designed by descent on the norm from {self.origin}")
 
 
 @numerics()
