@@ -331,7 +331,7 @@ def verdict(rows: Sequence[Row]) -> Statement:
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text
     judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
     lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
-    text += f"; UNSTABLE with its sample period and delay: {', '.join(lost)}" if lost else ""
+    text += f"; UNSTABLE in the sampled-data loop: {', '.join(lost)}" if lost else ""
     grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
     text += f"; law UNSTABLE even without the vehicle: {', '.join(grow)}" if grow else ""
     return Statement(text, "fails" if wrong else "holds", "brief")

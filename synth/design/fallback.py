@@ -43,7 +43,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 if TYPE_CHECKING:
     from synth.design.descent.landscape import Work
 
-KNOW_NO_NOISE = "the two steps ignore noise of measurements"
+KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
@@ -69,12 +69,12 @@ def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
     """
     entry = float(np.abs(steps.gain).max(initial=0.0))
     if largest_gain < LARGEST_GAIN and entry > largest_gain:
-        return f"the two steps lead to a gain of {rough(entry)}, but {largest_gain:g} is the largest allowed"
+        return f"the two-step method needs a gain of {rough(entry)}, but {largest_gain:g} is the largest allowed"
     gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"the two steps end at {digits(steps.certificate.norm.value)}{far}, as their X needs states of filters, which y lacks"
+    return f"the two-step method ends at {digits(steps.certificate.norm.value)}{far}: its X needs filter states, which y lacks"
 
 
 @numerics()
@@ -176,14 +176,14 @@ def near_lower_bound(
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"norm {digits(design.certificate.norm.value)}{far} by the two steps; descent from their gain"
+    came = f"the two-step method reaches norm {digits(design.certificate.norm.value)}{far}; descent from its gain"
     lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
     stopped = f"; {work.text}" if work.over else ""
     if lower is None:
         return design, f"{came} finds no lower norm{stopped}"
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
         at = f"{digits(lower.certificate.norm.value)} with poles too fast for actuators"
-        return design, f"{came} ends at {at}, so the gain of the two steps is kept{stopped}"
+        return design, f"{came} ends at {at}, so the gain of the two-step method is kept{stopped}"
     return lower, f"{came} lowers the norm with a gain {growth:.3g} times as large{stopped}"
 
 
@@ -237,7 +237,7 @@ def _known_gain(
     from synth.analysis.bounding import certify_tightly
 
     for how, known in (
-        ("by the two steps without changes", of_two_steps),
+        ("by the two-step method without changes", of_two_steps),
         ("by the second step with L = 0", of_zero_l),
         ("without control, as the plant is stable", no_control),
     ):

@@ -292,7 +292,7 @@ class _Asked:
         result, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
         certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
         said = [result.case, f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""]
-        why = result.instead or went_on or "the two steps find a gain whose certificate holds"
+        why = result.instead or went_on or "the two-step method finds a gain whose certificate holds"
         method = DESCENT if result.instead else BOTH if went_on else TWO_STEPS
         remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
         return FeedbackDesign(static_law(result.gain), certificate, method, why, remark, certificate.norm.value)
@@ -405,9 +405,9 @@ class _Asked:
             remark = f"norm {distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (
-                f"the two steps were not used: {gain.instead}"
+                f"the two-step method was not used: {gain.instead}"
                 if gain.instead
-                else "the two steps find a gain of this sampled norm"
+                else "the two-step method finds a gain of this sampled norm"
             )
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
         said = [remark, "the certificate is that of the ideal loop, without sampling and delay"]

@@ -154,7 +154,7 @@ def _checked(
                 f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, plant 0 has n = "
                 f"{len(plants[0].A)}, m = {plants[0].B.shape[1]} and q = {len(checked[0])}; a common gain needs equal n, m and q"
             )
-    (tried,) = real_matrix([f], "(1, k), numbers above 0 such as 0.1, 0.3 and 1", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
+    (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 such as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):
         raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, such as 0.1, 0.3 and 1")
     shape = plants[0].B.shape[1], len(checked[0])

@@ -256,7 +256,7 @@ def _gain(
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
         further = f"{which} reaches {digits(least)}" if least < norm else f"descent from there reaches {digits(reached)}"
-        why = f"the two steps reach {digits(norm)}, and {further}" if quietly else "the two steps ignore noise"
+        why = f"the two-step method reaches {digits(norm)}, and {further}" if quietly else "the two-step method ignores noise"
     else:
         if K is not None:
             failure = DesignError("rounding leaves no stable loop with the gain that was found")
@@ -264,7 +264,7 @@ def _gain(
         if _may_fall(problem, reached):
             moved, reached = _lower(problem, moved, reached, far, work)
         if not np.isfinite(reached):
-            tried = f"descent on the sampled norm, but no start was stable; the two steps: {failure}"
+            tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
             raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
         why = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
     why += f"; {work.text}" if work.over else ""

@@ -265,7 +265,7 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         (
             LAW.replace("sample_period = 0.005\n", "").replace("anti_windup = 5.0\n", ""),
             ["--controller", "law"],
-            "no sample period",
+            "needs a sample period",
         ),
         ("", ["--controller", "passive"], "unknown controller 'passive'"),
         ("", [], "no controller is given"),

@@ -199,7 +199,7 @@ def test_refine_belongs_to_the_designer(designer, capsys):
     first, row = found["controllers"]
     assert first["gap"] < 1e-4
     assert max(map(abs, first["gain"][0])) < 11000
-    assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in first["notes"])
+    assert any(note.startswith("refined: gamma 7.843188 -> ") and "not accepted" in note for note in first["notes"])
     assert row["gain"] == refined.controller.gain.tolist()
     assert row["notes"] == [refined.traded]
     assert refined.start is not None

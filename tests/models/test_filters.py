@@ -270,10 +270,10 @@ def test_what_synths_readme_says_of_the_two_steps():
     vehicle = parse_vehicle(file_with(WK))
     for name, lost in {"state": 10.30526, "I": 20.97388}.items():
         found = designed(vehicle, name)
-        said = re.search(r"the two steps end at (\d+\.\d+)", found.fallback_method)
+        said = re.search(r"the two-step method ends at (\d+\.\d+)", found.fallback_method)
         assert said is not None
         assert float(said[1]) == pytest.approx(lost, rel=3e-6)  # the path ends so near its limit
-        assert "needs states of filters" in found.fallback_method
+        assert "needs filter states" in found.fallback_method
         assert found.certificate.gap is not None
         assert found.certificate.gap < 1e-4
         assert found.certificate.own.worst.real < -0.1  # a filter's slowest pole is not it

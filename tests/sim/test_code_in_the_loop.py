@@ -207,9 +207,9 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     [
         (LAW + BUILT + WIDE, "I", "is code of 'law', but --controller gives I"),
         (LAW.replace("4000.0", "4001.0") + BUILT + WIDE, "law", "the law of controller 'law' has changed since the export"),
-        (LAW.replace("sample_period = 0.005\nanti_windup = 5.0\n", "") + WIDE, "law", "sample_period = 0.005, and not None"),
-        (LAW + BUILT + "delay = 2\n" + WIDE, "law", "delay = 0, and not 2"),
-        (LAW + BUILT + "[limits]\nactuator_force = 9.0\n", "law", "actuator_force = 50000.0, and not 9"),
+        (LAW.replace("sample_period = 0.005\nanti_windup = 5.0\n", "") + WIDE, "law", "sample_period = 0.005 instead of None"),
+        (LAW + BUILT + "delay = 2\n" + WIDE, "law", "delay = 0 instead of 2"),
+        (LAW + BUILT + "[limits]\nactuator_force = 9.0\n", "law", "actuator_force = 50000.0 instead of 9"),
         (None, "law", "sprung_mass = "),
     ],
 )

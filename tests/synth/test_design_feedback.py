@@ -206,7 +206,7 @@ def test_descent_goes_on_from_two_steps_that_end_far_above(paper):
     gap = found.certificate.norm.value / find_lower_bound(plant, Cy).gamma - 1
     assert 0 <= gap < 1e-3 < 0.06 < steps.certificate.norm.value / found.certificate.norm.value - 1  # 4.7e-4, 6.5 %: measured
     assert found.certificate.failures == ()
-    assert "above the lower bound; descent from there lowers it" in found.why
+    assert "above the lower bound; descent from its gain lowers the norm" in found.why
     assert found.remark == "its norm is 0.047 % above the lower bound 1.166753"
     designer = Designer(paper)
     mine = design_feedback(designer.plant, np.eye(4)[[0, 2]])

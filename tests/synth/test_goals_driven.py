@@ -23,7 +23,7 @@ gain = [[5000.0, -3000.0]]
 bounds = [{ norm = %s }, { decay = 0.5 }, { peak = "suspension_deflection", road = "bump", at_most = %s }]
 """
 KEPT, BROKEN = SECTION % ("8.0", "0.1"), SECTION % ("7.0", "0.01")
-SAID = "roadproof: controller 'b' does not meet its goals in the vehicle file (norm 7.9"
+SAID = "roadproof: controller 'b' does not meet its goals in the vehicle file (norm is 7.9"
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_a_report_has_them(vehicles, tmp_path, capsys):
         assert cells["proved to be at most"] == ("exact" if promise["proved"] is None else f"{promise['proved']:.7g}")
     assert [cells["kept"] for cells in page.tables["goals"]] == ["yes", "NO", "yes", "NO"]
     (missed,) = [line for line in page.answer if "DOES NOT KEEP" in line]
-    assert missed.startswith("b DOES NOT KEEP the goals of the vehicle file: norm 7.9")
+    assert missed.startswith("b DOES NOT KEEP the goals of the vehicle file: norm is 7.9")
     assert missed.endswith("at most 7 is allowed, and 1 more.")
 
 

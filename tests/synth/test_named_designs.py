@@ -68,7 +68,7 @@ def test_best_in_the_mean_is_not_best_in_the_worst_case(designer):
     h2 = {}
     for name in ("lqr", "lqg", "h2"):
         controller = designed(designer.vehicle, name)
-        h2[name] = float(next(one for one in controller.remarks if "H2 norm" in one).split("H2 norm ")[1].split(",")[0])
+        h2[name] = float(next(one for one in controller.remarks if "H2 norm" in one).split("H2 norm is ")[1].split(",")[0])
         assert controller.certificate.norm.value > designed(designer.vehicle, "state").certificate.norm.value
     assert h2["lqr"] < min(h2["lqg"], h2["h2"]) < 1.2 * h2["lqr"]
 

@@ -142,7 +142,7 @@ def test_a_force_that_costs_nothing():
     """If z does not weigh a force a small cost is assumed, and said."""
     plant, Cy, Dyw = noisy(2, 0.4)
     free = replace(plant, D=0 * plant.D)
-    assert "a cost for forces" in lqr_design(free).remark
+    assert "a cost of every force" in lqr_design(free).remark
     assert "noise" not in h2_design(free, Cy, Dyw).remark
     assert lqr_design(free).h2_norm < lqr_design(plant).h2_norm
 

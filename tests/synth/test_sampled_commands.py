@@ -201,7 +201,7 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
     path = tmp_path / "lost.toml"
     path.write_text(f"{paper.text}\n[implementation]\nsample_period = 0.15\ndelay = 5\n")
     assert main(["--vehicle", str(path), "--controller", "I", "--controller", "passive", "-v"]) == 0
-    assert prose(capsys.readouterr().out).endswith("holds for 2 controllers; UNSTABLE with its sample period and delay: I")
+    assert prose(capsys.readouterr().out).endswith("holds for 2 controllers; UNSTABLE in the sampled-data loop: I")
 
 
 @pytest.mark.attack

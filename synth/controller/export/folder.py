@@ -211,7 +211,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
         if not (folder / name).is_file():
             failures.append(f"{name}: is missing, but {MANIFEST} lists it")
         elif hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
-            failures.append(f"{name}: does not have its checksum in {MANIFEST}")
+            failures.append(f"{name}: is changed, as its checksum differs from {MANIFEST}")
     text, record = (read_text(folder / name, "exported controller", give) for name in (VEHICLE, CERTIFICATE))
     try:
         about = json.loads(record)

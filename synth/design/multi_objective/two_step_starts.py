@@ -68,8 +68,8 @@ def two_step_gains(asked: MultiObjectiveProblem) -> list[Array]:
 def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
     """Returns notes on a search."""
     if design.rejected_improvement is None:
-        return ("designed for its goals, by descent from the two steps and other starts",)
+        return ("designed for its goals, by descent from the two-step method and other starts",)
     return (
-        "designed for its goals, by descent from the two steps and other starts; not accepted: "
+        "designed for its goals, by descent from the two-step method and other starts; not accepted: "
         f"{percent(design.rejected_improvement)} less for up to twice the gain",
     )
