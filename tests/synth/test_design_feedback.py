@@ -212,7 +212,7 @@ def test_descent_goes_on_from_two_steps_that_end_far_above(paper):
     mine = design_feedback(designer.plant, np.eye(4)[[0, 2]])
     np.testing.assert_array_equal(mine.gain, designer.design("I").gain)
     assert mine.method == "the two steps"
-    assert mine.remark.startswith("its norm is 0.086 % above 7.836")
+    assert mine.remark.startswith("its norm is 0.086 % above the lower bound 7.836")
 
 
 @pytest.mark.attack
