@@ -320,7 +320,7 @@ def _flat(designs: Designs) -> list[Statement | Table]:
     if not designs.flat:
         return []
     of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
-    text = f"Each of these feedback gains may change alone by so much before {of} rises by {percent(FLAT)}:"
+    text = f"How far each of these feedback gains may change alone before {of} rises by {percent(FLAT)}:"
     return [*notes(text, detail="full"), Table.of("flat", text, MOVES, designs.flat.items(), detail="full")]
 
 

@@ -163,7 +163,7 @@ def test_roads_of_given_energy(paper):
 def test_norm_outside_a_band_is_named():
     """Without a bound on the whole norm its size is named, and how to bound it."""
     controller, _ = designed(f"measured = {TWO}\n{BAND}\nbounds = [{{ gain = 2e4 }}]")
-    assert any(f"it is {controller.certificate.norm.value:.7g}; give bounds" in remark for remark in controller.remarks)
+    assert any(f"{controller.certificate.norm.value:.7g}; to limit it, give bounds" in remark for remark in controller.remarks)
 
 
 @pytest.mark.attack

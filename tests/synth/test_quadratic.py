@@ -117,7 +117,7 @@ def test_cars(kind):
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
     said = "this design needs noise on every measurement"
-    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed for what is missing"
+    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark

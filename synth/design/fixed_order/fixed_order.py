@@ -267,7 +267,7 @@ class _Search:
         )
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        return law, "many starts, unless the gain grows too much; its loop keeps a tenth of the decay of its start"
+        return law, "many starts, ended before the gain grows too much; the loop keeps a tenth of the decay of its start"
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
         """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.

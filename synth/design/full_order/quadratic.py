@@ -230,7 +230,7 @@ def _design(
             f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too small for floating point: give "
             f"more, or omit it to use {100 * ASSUMED:g} %"
         ) from error
-    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed for what is missing"
+    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
     remark = f"this design needs {' and '.join(assumed)}; {share}" if assumed else ""
     larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
     return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
