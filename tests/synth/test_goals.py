@@ -115,7 +115,7 @@ def test_what_a_structure_costs_at_least():
     """A whole gain is better than one without the deflection; its own design is at least as good, by less than a hundredth."""
     controller, promises = designed(f"measured = {TWO}\nstructure = [[0, 1]]\nbounds = [{{ gain = 1.2e4 }}]")
     price = next(remark for remark in controller.remarks if "structure costs at least" in remark)
-    said, whole = (float(one) for one in re.findall(r"[\d.]+(?= %)|(?<=comes to )[\d.]+", price))
+    said, whole = (float(one) for one in re.findall(r"[\d.]+(?= %)|(?<=reaches )[\d.]+", price))
     assert said == pytest.approx(100 * (promises["norm"] / whole - 1), rel=0.06)  # two digits
     _, of_whole = designed(f"measured = {TWO}\nbounds = [{{ gain = 1.2e4 }}]")
     assert of_whole["norm"] * (1 - 1e-6) <= whole <= 1.01 * of_whole["norm"]
@@ -133,7 +133,7 @@ def test_a_structure_has_its_price():
     assert np.abs(controller.gain).max() <= 3e4
     assert np.array_equal(controller.gain != 0, [[1, 0, 1, 0], [0, 1, 0, 1]])
     price = next(remark for remark in controller.remarks if "structure costs" in remark)
-    said, whole = re.findall(r"[\d.]+(?= %)|(?<=comes to )[\d.]+", price)
+    said, whole = re.findall(r"[\d.]+(?= %)|(?<=reaches )[\d.]+", price)
     whole_gain, of_whole = designed(f"measured = {measured}\nbounds = [{{ gain = 3e4 }}]", "half_car")
     assert float(said) == pytest.approx(100 * (promises["norm"] / float(whole) - 1), abs=0.06)  # two digits
     assert float(whole) == pytest.approx(of_whole["norm"], rel=0.01)  # from another start
