@@ -216,5 +216,5 @@ def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constr
     size = max(float(np.linalg.norm(X_i.value, 2)) for X_i in X)  # pyright: ignore[reportArgumentType, reportCallIssue]
     optimum = float(eta.value)  # pyright: ignore[reportArgumentType]
     if optimum <= NOTHING * size:
-        raise NoSolutionError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {optimum:.1e}")
+        raise NoSolutionError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel finds {optimum:.1e}")
     return optimum

@@ -284,7 +284,7 @@ def full_order_design(
         found += static_gains(search, much, min((each.norm for each in found), default=np.inf))
     laws = pareto_front([each for each in found if fits(each)])
     size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
-    undescended = f"; no descent was tried: the law has {size} numbers, and {MOST} are the most" * (size > MOST)
+    undescended = f"; no descent was tried: the law has {size} numbers, and {MOST} is the limit" * (size > MOST)
     while (best := select(laws, fastest)) is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             own = proved(best, laws)
