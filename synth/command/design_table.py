@@ -333,5 +333,5 @@ def verdict(rows: Sequence[Row]) -> Statement:
     lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
     text += f"; UNSTABLE in the sampled-data loop: {', '.join(lost)}" if lost else ""
     grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
-    text += f"; law UNSTABLE even without the vehicle: {', '.join(grow)}" if grow else ""
+    text += f"; control law UNSTABLE by itself: {', '.join(grow)}" if grow else ""
     return Statement(text, "fails" if wrong else "holds", "brief")

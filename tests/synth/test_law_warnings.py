@@ -75,7 +75,7 @@ def test_a_law_that_no_computer_runs_hides_no_other(corner, capsys):
     out = capsys.readouterr().out
     assert f"q FAILS: a pole of its law at +2.192e+04 1/s {TOO_FAST}" in prose(out)
     assert [line.split()[0] for line in out.splitlines() if line.startswith(("passive ", "q "))] == ["q", "passive", "q"]
-    assert prose(out).endswith("not every claim holds: q FAILS; law UNSTABLE even without the vehicle: q")
+    assert prose(out).endswith("not every claim holds: q FAILS; control law UNSTABLE by itself: q")
 
 
 def test_a_controller_that_is_left_out_is_named(corner, capsys):
@@ -221,7 +221,7 @@ def test_a_full_order_law_that_winds_up(corner, capsys):
     assert synth(["--vehicle", car, "--controller", "full"]) == 0
     out = prose(capsys.readouterr().out)
     assert "Control laws that are unstable by themselves, winding up at 300 N: full (+" in out
-    assert out.endswith("; law UNSTABLE even without the vehicle: full")
+    assert out.endswith("; control law UNSTABLE by itself: full")
     drive(["--vehicle", car, "--controller", "full", "--class", "E", "--speed", "25", "--duration", "12", "--no-logs"])
     out = prose(capsys.readouterr().out)
     assert "full: unstable by itself (+" in out
