@@ -51,7 +51,7 @@ curves of dampers and springs, statistical linearisation       2579   2010     5
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      551    237      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      828   1543     52
+loads, links, tyre damping                                      828   1541     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1183   1028      0
@@ -65,9 +65,9 @@ preview, LQR, LQG, H2                                           636    653     5
 anti-windup, integrals, compatible options                      409   1108      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                           1013    360      0
+fixed order, PI, PID                                           1013    358      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
-goals, families, trade-off front                               4426   1668    124
+goals, families, trade-off front                               4424   1668    124
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
@@ -76,14 +76,14 @@ uncertainty: fragility, mu, boxes                              2856    920     6
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2313   1297    110
+sampled data: norm, bound, designs, rates                      2309   1297    110
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3236   1423     91
+export: C99, fixed point, FMI, MATLAB                          3235   1423     91
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                          1007    727    114
+full-order H-infinity                                          1006    727    114
     synth/design/full_order/{__init__,by_name,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
 static search, descent, refine                                 2010    759      0
