@@ -99,8 +99,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="compute the errors of measurements and forces, in percent, at which the loop becomes unstable or its norm rises "
-        "by 1 or 10 %%: proved limits, found limits, and the effect of rounding the law's numbers to int16 or float16",
+        help="compute how large errors of measurements and forces, in percent, may be until the loop is unstable or its norm is "
+        "1 or 10 %% higher, as proved and as found; also compute the norm with the law's numbers rounded to int16 or "
+        "float16",
     )
     parser.add_argument(
         "--check",
