@@ -99,9 +99,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="compute how large errors of measurements and forces, in percent, may be until the loop is unstable or its norm is "
-        "1 or 10 %% higher, as proved and as found; also compute the norm with the law's numbers rounded to int16 or "
-        "float16",
+        help="compute how large errors of measurements and forces, in percent, may be until the loop is unstable or its norm 1 "
+        "or 10 %% higher (proved and found), and the norm with the law's numbers rounded to int16 or float16",
     )
     parser.add_argument(
         "--check",
