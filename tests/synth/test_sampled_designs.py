@@ -241,7 +241,7 @@ def test_long_delays():
     """For many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")
     assert (
-        "the LMI problem has 630 unknowns, and the two-step method for sampled loops allows at most 260" in found.fallback_method
+        "the LMI problem has 630 unknowns, but the two-step method for sampled loops allows at most 260" in found.fallback_method
     )
     assert "force more" not in found.fallback_method
     start = time.process_time()
