@@ -42,7 +42,7 @@ ATTACKS = [
     (CAR, 'car.toml: 504.5 -> "504.5 N"', "sprung_mass"), (CAR, "car.toml: 504.5 -> nan", "sprung_mass"),
     (CAR, "car.toml: sprung_mass -> spring_mass", "spring_mass"), (CAR, "car.toml: 504.5 -> 504.5 kg", "car.toml"),
     (CAR, 'car.toml: ["sprung_velocity"] -> ["speed"]', "'speed'"), (DRIVE + " --class Q", "", "'Q'"),
-    (DRIVE + " --class A --road bump", "", "not both"), (DRIVE + " --road bump:high=0.1", "", "high"),
+    (DRIVE + " --class A --road bump", "", "exclude each other"), (DRIVE + " --road bump:high=0.1", "", "high"),
     (DRIVE + " --road nowhere.csv", "", "nowhere.csv"), (DRIVE + " --road road.csv", "road.csv: 2, -> 0.5,", "road.csv"),
     (DRIVE + " --road road.csv", "road.csv: height [m] -> height [furlong]", "furlong"), (DRIVE + " --load push", "", "'push'"),
     (DRIVE + " --load load.csv", "load.csv: time [s] -> time", "unit"), (DRIVE + " --seed 1.5", "", "'1.5'"),
