@@ -47,7 +47,7 @@ ATTACKS = [
     (DRIVE + " --road road.csv", "road.csv: height [m] -> height [furlong]", "furlong"), (DRIVE + " --load push", "", "'push'"),
     (DRIVE + " --load load.csv", "load.csv: time [s] -> time", "unit"), (DRIVE + " --seed 1.5", "", "'1.5'"),
     (DRIVE + " --load brake", "", "pitches"), ("sim.sweep --amplitude 0", "", "amplitude"),
-    ("sim.sweep --picture nowhere/a.png", "", "nowhere"), ("sim.envelope --controller I", "", "axis"),
+    ("sim.sweep --picture nowhere/a.png", "", "nowhere"), ("sim.envelope --controller I", "", "--vary"),
     (MAP + " height:0.2:0.1:3", "", "low < high"), (MAP + " height:0.1:0.2:2 --csv car.toml --vehicle car.toml", "", "car.toml"),
     ("sim.margins --controller passive", "", "'passive'"), ("sim.campaign nowhere.toml", "", "nowhere.toml"),
     (CAMPAIGN + " --workers 0", "", "workers"), (CAMPAIGN, 'campaign.toml: 1.0 -> "long"', "duration"),
