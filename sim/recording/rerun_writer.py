@@ -234,4 +234,4 @@ def _check_complete(path: Path) -> None:
         with warnings.catch_warnings(action="error"):
             rerun.chunk.RrdReader(path).store()
     except (RuntimeError, ValueError, Warning) as error:
-        raise OSError("Rerun did not write the whole file; check that the disk has free space") from error
+        raise OSError("Rerun did not write the whole file") from error

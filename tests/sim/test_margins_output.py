@@ -99,7 +99,7 @@ def test_the_kind_says_what_varies(paper, designer):
         assert corner.norm == pytest.approx(hinf_norm(generalized_plant(other).closed_loop(controller.state_gain(other))).value)
         assert corner.norm <= box.norm
     panel = margins_figure(found).panels[-1]
-    assert (panel.xlabel, panel.ylabel) == ("wheel [% off]", "damper [% off]")
+    assert (panel.xlabel, panel.ylabel) == ("change of wheel [%]", "change of damper [%]")
     drawn = [curve.x for curve in panel.curves if isinstance(curve, Curve) and curve.marker in "ox" and curve.marker]
     assert set(np.concatenate(drawn).round(9)) == {-10.0, 20.0}  # rounding of 100 (factor - 1)
 

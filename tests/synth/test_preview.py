@@ -284,7 +284,7 @@ def test_a_log_proves_it(log, capsys):
     """A log has the preview in numbers, and its replay answers the road as they do."""
     assert main_of("sim.inspect")([str(log), "-v"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "answers the road 0.3 s ahead, too" in printed
+    assert "also uses the road 0.3 s ahead" in printed
 
 
 def changed(preview: Mapping[str, Any], **parts: Any) -> str:
