@@ -413,7 +413,7 @@ def test_a_stop_over_travel():
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
     assert not vehicle.doubts
     (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
-    assert "ends at 0.08 m, and the rebound stop begins at 0.10" in far
+    assert "ends at 0.08 m, but the rebound stop begins at 0.10" in far
 
 
 def test_rates_at_the_wheel_are_printed():
@@ -459,7 +459,7 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
         (
             f'{good}[actuators]\nkind = "damper"\nc_min = 1.0\nc_max = 5e3\n[controllers.own]\nmeasured = ["control_force"]\n'
             "gain = [[0.1]]\n",
-            "of a damper at a motion ratio over travel",
+            "which has no sensor for a damper at a motion ratio over travel",
         ),
         (f"{good}[payload]\nmass = 5e3\n", "rest moves beyond its table"),
         (text + "{ deflection = [-0.1, 0.1], ratio = [0.3, 2.9] }\n", "changes so fast with travel that the preload"),
@@ -502,7 +502,7 @@ def test_springs_of_one_parameter_over_travel():
         with pytest.raises(InputError, match=words):
             kind.check(dict(vehicle.parameters))
     for name in ("suspension_stiffness_front", "suspension_stiffness_rear"):  # the spring's own rate, as in [parameters]
-        assert f"{name} {vehicle.parameters[name]:.4g} (elsewhere" in lines_at_rest(vehicle.fitted)
+        assert f"{name} {vehicle.parameters[name]:.4g} (slope of the whole curve:" in lines_at_rest(vehicle.fitted)
 
 
 def test_published_ride_frequencies():

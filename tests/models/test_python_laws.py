@@ -271,7 +271,7 @@ def test_documented_law_is_driven(tmp_path, capsys):
     car.write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + "\n" + entry, encoding="utf-8")
     assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--duration", "1", "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    assert "law in Python skyhook.py:step, told the road 0.5 s ahead" in said
+    assert "law in Python skyhook.py:step, with 0.5 s of road preview" in said
     assert "linear analysis does not apply (a law in Python)" in said
     assert "the exact linear response to the forces of the law" in said
     assert "the control law evaluated on the run's measurements: largest" in said

@@ -277,7 +277,7 @@ WRONG = [
     ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "at deflection -0.04 m: its force falls below its first point"),
     (
         {"more": '[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0'},
-        "depends on velocity and deflection, but [actuators] has",
+        "depends on velocity and deflection, but [actuators] gives this suspension",
     ),
 ]
 

@@ -264,7 +264,7 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
     [
         ("suspension_stiffness", 42.7, "natural frequency is about 0.046 Hz"),  # N/mm
         ("suspension_damping", 1.095e6, "damping ratio is about"),  # kN s/m, times 1000
-        ("suspension_damping", 1.095, "damping ratio is about 0.00021; is the damping in N s/m?"),  # N s/mm
+        ("suspension_damping", 1.095, "damping ratio is about 0.00021; check that the damping is in N s/m"),  # N s/mm
         ("sprung_mass", 0.5045, "natural frequency is about 26 Hz"),  # tonnes
         ("suspension_stroke", 60.0, "suspension_stroke is 60 m"),  # mm
         ("suspension_stroke", "{ bump = 60.0 }", "suspension_stroke.bump is 60 m"),
