@@ -205,10 +205,10 @@ def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
     ]
     note += f". {', '.join(broken)}" if broken else ""
     kind = " and ".join(dict.fromkeys(run.vehicle.kind.name.replace("_", " ") for run in runs))
-    lines = "Lines show the exact sampled response"
+    lines = "Lines show the exact sampled response, markers show MuJoCo"
     if any(curve.filled for panel in panels for curve in panel.curves):
-        lines += ", and MuJoCo after the end of the linear regime (full markers); thin lines continue the sampled response"
-    title = f"{kind} over {where}. {lines}. Markers show MuJoCo{note}"
+        lines += ". After the end of the linear regime, thick lines and full markers show MuJoCo, thin lines the sampled response"
+    title = f"{kind} over {where}. {lines}{note}"
     return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
 
 

@@ -75,5 +75,5 @@ def test_what_does_not_fit_is_named(paper, response):
     """Several runs are no table."""
     many = Response(response.time, response.signals, np.stack([response.values] * 2))
     for convert in (Response.to_pandas, lambda one: one.to_control(paper)):
-        with pytest.raises(ValueError, match="take one"):
+        with pytest.raises(ValueError, match="select one"):
             convert(many)

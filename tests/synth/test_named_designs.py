@@ -90,7 +90,7 @@ def test_saved_and_checked(tmp_path, capsys):
     chosen = [part for name in ("full", "h2") for part in ("--controller", name)]
     assert main(["--vehicle", str(path), *chosen, "--save", str(saved), "-v"]) == 0
     printed = capsys.readouterr().out
-    assert "of 4 states" in printed
+    assert "with 4 states" in printed
     vehicle = read_vehicle(saved)
     assert vehicle.controllers["full_designed"].law is not None
     assert [row.failures for row in check(Designer(vehicle), None) if row.name in ("full_designed", "h2_designed")] == [(), ()]
