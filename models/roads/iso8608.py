@@ -130,7 +130,7 @@ class Iso8608(Road):
             several = " and ".join(
                 f"{name} = {value if isinstance(value, str) else f'{value:g}'}" for name, value in given.items()
             )
-            raise InputError(f"a road has {several}; give only one of them as its roughness")
+            raise InputError(f"this road has {several}; give only one of them as its roughness")
         check_seed(self.seed)
         check_numbers("road", self, {name: limits for name, limits in LIMITS.items() if name != "gd" or self.gd is not None})
         low, high = BAND_LIMITS

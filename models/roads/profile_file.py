@@ -179,7 +179,9 @@ def rdf_text(text: str) -> str:
         raise InputError(f"the file has no table {RDF} of distance, left and right height; give the whole file")
     for name, value in values.items():
         if name.startswith("ROTATION") and not re.fullmatch(r"[+-]?0*\.?0*(e[+-]?\d+)?", value):
-            raise InputError(f"{name} = {value} rotates the road, which cannot be read; give a road along x with {name} = 0")
+            raise InputError(
+                f"{name} = {value} rotates the road, and rotated roads are not supported; give a road along x with {name} = 0"
+            )
     unit = values.get("LENGTH", "")
     if not unit:
         raise InputError("the file has no LENGTH in [UNITS]; give the unit of the table, as in LENGTH = 'meter'")

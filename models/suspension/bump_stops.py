@@ -99,7 +99,9 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     if stroke is not None and u[first]:
         raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of them")
     if force[-1] < force[-2]:
-        raise InputError(f"its force falls to {force[-1]:.6g} N at its end, as it goes on from there; end flat or rising")
+        raise InputError(
+            f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; end it flat or rising"
+        )
     gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
     cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
     return Stop(gap if stroke is None else stroke, cut)

@@ -116,8 +116,8 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
         actuator, tendon = actuators.get(placed.force), tendons[placed.force]
         if actuator is None or (actuator.target, float(actuator.gear[0])) != (tendon, 1.0):
             raise InputError(
-                f"MJCF {mjcf}: the damper of [actuators] needs the actuator {placed.force!r} as a motor of gear 1 on the tendon "
-                f"{tendon!r}; change this actuator, or omit [actuators]"
+                f"MJCF {mjcf}: for the damper of [actuators], the actuator {placed.force!r} must be a motor with gear 1 on "
+                f"the tendon {tendon!r}; change this actuator, or omit [actuators]"
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
         line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)

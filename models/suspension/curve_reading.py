@@ -323,7 +323,7 @@ def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]
     if fit_error is not None or len(indices) > MOST_LINES + 1:
         error = USUAL_ERROR if fit_error is None else float(fit_error)
         indices = thinned(x, force, error * largest)
-        words = f"{len(x)} points as {len(indices) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
+        words += f" replaced by {len(indices) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
         if len(indices) > MOST_LINES + 1:
             raise InputError(
                 f"needs {len(indices) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
@@ -349,8 +349,8 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force falls {side}, as it goes on from there, by {-curve.slopes[end]:g} N per {over.unit}; give a last "
-                "point that ends flat or rising"
+                f"its force continues {side} at its last slope and falls by {-curve.slopes[end]:g} N per {over.unit}; give a "
+                "last point that ends flat or rising"
             )
     return curve
 

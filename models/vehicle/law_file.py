@@ -110,7 +110,8 @@ def _check_plain(matrices: Mapping[str, Any]) -> None:
     delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
     if delayed:
         raise InputError(
-            f"{', '.join(delayed)} is above 0, but a law has no delay here; give it in [implementation], or use pade(sys, 3)"
+            f"{', '.join(delayed)} is above 0, but a law in a file cannot have a delay; give the delay in "
+            "[implementation], or use pade(sys, 3)"
         )
     unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
     if unit not in ("", "seconds"):

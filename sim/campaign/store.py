@@ -124,5 +124,7 @@ def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.
         file = pq.ParquetFile(stream)
         other = {*expected, *names} - {*file.schema_arrow.names}
         if other:
-            raise InputError(f"another version of Roadproof wrote it, without columns {first_few(sorted(other))}; {ELSEWHERE}")
+            raise InputError(
+                f"another version of Roadproof wrote these results, without columns {first_few(sorted(other))}; {ELSEWHERE}"
+            )
         return file.read(list(names)).select(list(names))

@@ -161,7 +161,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     if ends > duration:
         return wrapped(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
     lower = f"the points of the road end at {rough(ends)} s of {duration:g} s. The straight road after them lowers every rms"
-    return wrapped(f"{lower}; --duration {rough(ends)} ends the run with the points")
+    return wrapped(f"{lower}; --duration {rough(ends)} ends the run at the road's last point")
 
 
 def road_text(options: argparse.Namespace) -> str:

@@ -476,7 +476,8 @@ def _damper_notes(run: RunResult) -> list[Statement]:
                 f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
             )
     if most > HALF and isinstance(run.controller, Controller):
-        text = f"norms and margins do not describe this run: a semi-active damper lacks {percent(most)} of the requested force"
+        text = "norms and margins do not describe this run: a semi-active damper cannot supply "
+        text += f"{percent(most)} of the requested force"
         return [*notes(*texts), Statement(text, "ends")]
     return [*notes(*texts)]
 
@@ -489,7 +490,7 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
     if effect.clipped:
         return [f"{line}; {effect.clipped[0]} exceeds its range on this road, and is clipped: export with a larger --range"]
     if not any(map(effect.peak, effect.apart)):
-        return [f"{line}; the run equals that of the control law bit for bit"]
+        return [f"{line}; the run is the same, bit for bit, as with the control law itself"]
     force = max(vehicle.linear_model.inputs, key=effect.peak)
     apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
     share = DIFFERENCE.digits(effect.share)

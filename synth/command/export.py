@@ -109,7 +109,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     if other:
         raise InputError(f"controller {other[0]!r} has no matrices for a MATLAB file; give a linear one: {listing(linear)}")
     if not names:
-        raise InputError(f"{vehicle.source} contains no linear controller for a MATLAB file; add a controller to it")
+        raise InputError(f"{vehicle.source} contains no linear controller to write to a MATLAB file; add one to [controllers]")
     designer = Designer(vehicle, search=False)
     controllers: list[Controller] = [designer.design(name) for name in names]
     file: Path = options.export

@@ -106,7 +106,7 @@ def _parser() -> Parser:
         "--check",
         type=Path,
         metavar="FILE",
-        help="verify the gains and certificates of a vehicle file, or the files of a folder that --export wrote",
+        help="verify the gains and certificates in a vehicle file, or the files of a folder that --export wrote",
     )
     parser.add_argument(
         "--export",

@@ -188,7 +188,7 @@ def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
     """
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
-    lowest, where = f"Limit: no norm is below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
+    lowest, where = f"Limit: no controller has a norm below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
     if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
         return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
     free = without_control(plant, limit.limit_at)

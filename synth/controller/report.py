@@ -192,7 +192,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     axes = {"roll": "roll_centre_height_front", "pitch": "pitch_centre_height"}
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
-    text = f"The disturbance w is the road's velocity under every wheel and the height of its {listing(felt)}"
+    text = f"The disturbance w is the road's velocity under every wheel and the height of the road's {listing(felt)}"
     return [f"{text}, of which 1 m counts as {rate} m/s."] if count else []
 
 
@@ -258,7 +258,9 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     lines = [f"norms include filters: {', '.join(texts)}{poles}"]
     if vehicle.integrals:
         names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
-        lines.append(f"designs that measure {names} have its integral as a state; sampled norms omit the integral")
+        lines.append(
+            f"designs that measure {names} have its integral as a state; norms of the sampled loop leave out this integral"
+        )
     return lines
 
 

@@ -115,7 +115,9 @@ def answered(problem: Any, **settings: float) -> None:
             warnings.simplefilter("ignore")  # "may be inaccurate": the status says so, too
             problem.solve(solver=cp.CLARABEL, **settings)
     except cp.SolverError as error:
-        raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
+        raise DesignError(
+            f"Clarabel could not solve the LMI problem: {error}; rescale the plant or use the central-path method"
+        ) from error
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise NoSolutionError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
 

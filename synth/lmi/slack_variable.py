@@ -45,7 +45,7 @@ def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[
             return _Slack(plant, Cy, start).follow()
         except np.linalg.LinAlgError as error:
             raise DesignError(
-                f"the central path with a slack variable could not be followed: rounding prevents it ({error})"
+                f"rounding errors stop the central path with a slack variable ({error}); rescale the plant"
             ) from error
 
 

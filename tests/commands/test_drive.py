@@ -98,7 +98,7 @@ def test_obstacles(capsys, road):
         (
             2.5,
             "the points of the road end at 2 s of 2.5 s. The straight road after them lowers every rms; "
-            "--duration 2 ends the run with the points",
+            "--duration 2 ends the run at the road's last point",
         ),
     ],
 )

@@ -90,7 +90,9 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     limit = bound_beyond_control(plant)
     assert limit.gamma == pytest.approx(2, rel=1e-12)  # it is rounded down
     assert limit.limit_at == 0.0
-    assert limit_text(limit, plant).startswith("Limit: no norm is below 2, as control must stabilise the mode at 0 Hz")
+    assert limit_text(limit, plant).startswith(
+        "Limit: no controller has a norm below 2, as control must stabilise the mode at 0 Hz"
+    )
 
 
 MERELY = ": control lowers z no further at {at}. Without control z is {free:.7g}."
@@ -110,7 +112,7 @@ def test_an_invariant_point_is_one(more, said):
     alone = float(np.linalg.norm(of_w))
     assert bound.gamma == pytest.approx(across, rel=1e-9)  # rounding of the pseudo-inverse
     where = f"{bound.limit_at / (2 * np.pi):.5g} Hz"
-    assert limit_text(bound, plant) == f"Limit: no norm is below {across:.7g}{said.format(free=alone, at=where)}"
+    assert limit_text(bound, plant) == f"Limit: no controller has a norm below {across:.7g}{said.format(free=alone, at=where)}"
     assert (alone <= 1.001 * across) == (said == SAME)
 
 

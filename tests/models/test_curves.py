@@ -92,7 +92,10 @@ def test_a_fine_table_is_fewer_lines_to_the_error_it_says():
         curve = damper(v.tolist(), force.tolist(), fit_error=error)
         assert np.abs(curve(v) - force).max() <= error * force.max() * (1 + 1e-9)
         counts.append(len(curve.x) - 1)
-        assert f"4001 points as {counts[-1]} straight lines, within {100 * error:g} % of {force.max():.4g} N" in curve.words
+        assert (
+            f"4001 points replaced by {counts[-1]} straight lines, with errors within {100 * error:g} % of {force.max():.4g} N"
+            in curve.words
+        )
     assert counts == sorted(counts)
     assert counts[0] < 12
     assert damper([-1, -0.5, 0, 0.5, 1], [-1000, -500, 0, 500, 1000]).pieces.slope.size == 0  # on one line

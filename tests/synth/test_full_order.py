@@ -208,7 +208,9 @@ def test_faster_laws_are_nearer():
 def test_a_limit_that_no_law_keeps():
     """A `fastest_pole` that no law keeps is refused with the slowest there is, and so is any for a discrete plant."""
     plant, Cy = fast_plant(*FASTER[:5], cost=FASTER[5])
-    with pytest.raises(DesignError, match=r"within fastest_pole = 0\.01 rad/s; the slowest loop needs fastest_pole = \S+: give"):
+    with pytest.raises(
+        DesignError, match=r"within fastest_pole = 0\.01 rad/s; the slowest loop found needs fastest_pole = \S+: give"
+    ):
         full_order_design(plant, Cy, fastest_pole=0.01)
     sampled = replace(plant, A=np.eye(2) + 0.01 * plant.A, B=0.01 * plant.B, Bw=0.01 * plant.Bw, dt=0.01)
     with pytest.raises(InputError, match="omit fastest_pole"):

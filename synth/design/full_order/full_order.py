@@ -262,8 +262,8 @@ def full_order_design(
             raise DesignError(str(lost[0])) from lost[0]
         if trade:
             raise DesignError(
-                f"no law was found that keeps all poles of its loop within fastest_pole = {rough(fastest * search.fastest)} "
-                f"rad/s; the slowest loop needs fastest_pole = {rough(trade[0].pole)}: give at least this value"
+                f"no law was found that keeps all closed-loop poles within fastest_pole = {rough(fastest * search.fastest)} "
+                f"rad/s; the slowest loop found needs fastest_pole = {rough(trade[0].pole)}: give at least this value"
             )
         raise DesignError(
             "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "

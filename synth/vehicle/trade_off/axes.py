@@ -103,9 +103,7 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
     off = OFF
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
-            raise InputError(
-                f"--front tolerance={given} is not an error in percent; give a number above 0 and up to 90, such as tolerance=10"
-            )
+            raise InputError(f"--front tolerance={given} is not a valid error in percent; give a number above 0, up to 90")
         off = float(given) / 100
     if vehicle.filtered:
         raise InputError("--front tolerance: filters in [performance] cannot be combined with measurement errors; omit tolerance")
