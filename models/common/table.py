@@ -186,7 +186,7 @@ def table_text(path: Path) -> str:
         tables = [name for name, rows in sheets.items() if sum(_has_numbers(row) for row in rows) > 1]
         if len(tables) > 1:
             raise InputError(
-                f"has tables in the sheets {listing(tables)}; which one is it? Delete the others, or save it as .csv"
+                f"has tables in the sheets {listing(tables)}, but only one is read; delete the others, or save one as .csv"
             )
         return _tabbed(sheets[(tables or [*sheets])[0]])
     return _tabbed(_matlab_rows(path.read_bytes())) if suffix == ".mat" else path.read_text(encoding="utf-8-sig")

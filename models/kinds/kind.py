@@ -357,8 +357,8 @@ class VehicleKind(Checked):
             rate = -self.ratios[part.ratio].turn * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
-                    f"springs of {part.stiffness} carry different loads, so that {part.ratio} over travel makes different wheel "
-                    "rates of it; give each suspension its own parameter"
+                    f"springs of {part.stiffness} carry different loads, so {part.ratio} over travel gives them different "
+                    "wheel rates; give each suspension its own parameter"
                 )
         return rates
 

@@ -197,7 +197,7 @@ def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
     check_keys(f"{where} pid", table, (FILTER,))
     if kind == PI:
         if table:
-            raise InputError(f'{where} structure = "{PI}" has no derivative, but pid gives a filter for it; omit pid')
+            raise InputError(f'{where} structure = "{PI}" has no derivative, but the key pid sets a filter for one; omit pid')
         return 0.0
     if FILTER not in table:
         raise InputError(

@@ -90,7 +90,9 @@ class PythonLaw:
         """
         path = self.path
         if path is None:
-            raise InputError(f"law {self.law}: its code is not available, as the vehicle is read from text; read it from a file")
+            raise InputError(
+                f"law {self.law}: its code is not available, as the vehicle is read from text; read the vehicle from a file"
+            )
         if self.is_fmu:
             content = read_bytes(path, "FMU", GIVE_FMU)
             digest, names = hashlib.sha256(content).hexdigest(), {**self.inputs, **self.outputs}

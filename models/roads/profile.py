@@ -274,7 +274,9 @@ def check_ascending(
     usual = float(np.median(steps))
     for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:
         there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
-        raise InputError(f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill it, or cut the {what} there")
+        raise InputError(
+            f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill this gap, or cut the {what} there"
+        )
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:

@@ -184,7 +184,7 @@ def check_posts(posts: Sequence[str]) -> None:
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {quoted(post)}; call it like the wheel on this post")
+            raise InputError(f"a column is called {quoted(post)}; give this column the name of the wheel on this post")
         if name in seen:
             raise InputError(f"the columns {quoted(seen[name])} and {quoted(post)} belong to the same wheel; remove one of them")
         seen[name] = post

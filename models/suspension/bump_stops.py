@@ -419,7 +419,9 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             for side in SIDES:
                 if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
                     where = f" of {corner}" if corner else ""
-                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness does not; give it there, too")
+                    raise InputError(
+                        f"[limits] suspension_stroke{where} has {side}, but stop_stiffness does not; add {side} there"
+                    )
         with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
             if stiffness is not None:
                 stops(stroke, stiffness)

@@ -227,7 +227,7 @@ def _carrying(x: Array, force: Array, load: float) -> float:
     do = "extend the table, or correct preload"
     if high < UNLOADED * force.max():
         do = "if its deflections are positive in compression, call them compression"
-    raise InputError(f"its table carries {low:.6g} to {high:.6g} N, and {load:.6g} N rest on it; {do}")
+    raise InputError(f"its table carries {low:.6g} to {high:.6g} N, but the static load is {load:.6g} N; {do}")
 
 
 def _knots(parts: Sequence[Array]) -> Array:

@@ -176,7 +176,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         check_keys(where, value, KEYS)
     by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
     if not by_force and section:
-        raise InputError("[actuators]: this vehicle type has no suspension with a force; omit the section")
+        raise InputError("[actuators]: no suspension of this vehicle type has an actuator; omit the section")
     dampers = {force: damper for force, damper in by_force.items() if damper is not None}
     if dampers and limited:
         raise InputError(

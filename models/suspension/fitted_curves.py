@@ -83,7 +83,7 @@ def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> d
     """
     for name in slopes:
         if name in parameters:
-            raise InputError(f"{name} is in both [parameters] and [curves]; omit it in [parameters], as the curve gives it")
+            raise InputError(f"{name} is in both [parameters] and [curves]; omit {name} in [parameters]")
     return {**parameters, **slopes}
 
 

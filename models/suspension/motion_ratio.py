@@ -79,7 +79,9 @@ class RatioTable:
             InputError: the table ends before.
         """
         if not self.x[0] < rest < self.x[-1]:
-            raise InputError(f"rest moves beyond its table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend it")
+            raise InputError(
+                f"the equilibrium moves beyond the table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend the table"
+            )
         return replace(self, x=self.x - rest)
 
     def carrying(self, rate: float, load: float, other: float) -> float:
@@ -125,7 +127,7 @@ class RatioTable:
         by_error = ((error, _lines(x, force, slope, error * largest)) for error in ERRORS)
         error, lines = next((one for one in by_error if len(one[1][0]) <= MOST_LINES + 1), (0.0, (x, force)))
         if not error:
-            raise InputError(f"its motion ratio makes more than {MOST_LINES} straight lines of it; smooth their tables")
+            raise InputError(f"the motion ratio turns this curve into more than {MOST_LINES} straight lines; smooth their tables")
         words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:g} %"
         return ForceCurve(*lines, slope, words)
 

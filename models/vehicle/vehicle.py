@@ -464,7 +464,7 @@ class Vehicle(Shown):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: the vehicle file could not be read there ({error}); give a file next to it"
+                f"--save {path}: a vehicle file there could not be read ({error}); give a path in the folder of the original"
             ) from error
         return text
 

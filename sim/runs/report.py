@@ -340,7 +340,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
     if steps is None:
         small = any(signal.small is not None for signal in run.agreement.signals.values())
         first_order = "; the run is compared with linear analysis to first order" if small else ""
-        yield Statement(f"no step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
+        yield Statement(f"no time step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
     elif steps.until > 0:
         wrong = f"DOES NOT AGREE from {WHEN.text(steps.since)} on: not every MuJoCo step"
         end = f", until {WHEN.text(steps.until)}" if math.isfinite(steps.until) else ""

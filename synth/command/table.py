@@ -194,7 +194,7 @@ def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED):
         return f"{lowest}, because no control force changes z at {where} (invariant point)."
-    return f"{lowest}: control lowers z no further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
+    return f"{lowest}, because no control lowers z further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
 
 
 EXPLANATION = (

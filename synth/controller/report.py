@@ -294,7 +294,7 @@ def judged_lines(controller: Controller) -> list[str]:
         texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")
     if hardware.bandwidth is not None:
         lag = f"the actuators' lag, {hardware.bandwidth:g} rad/s"
-        texts.append(f"norm, bounds and poles include {lag}; z weights the commanded force")
+        texts.append(f"norm, bounds and poles include {lag}; the force in z is the commanded one")
     return texts
 
 

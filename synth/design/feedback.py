@@ -191,7 +191,7 @@ def design_feedback(
     check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
     asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
-        raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample_period; give it in seconds")
+        raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample period; give sample_period in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
         raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} needs structure = "pid"; give both')
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)

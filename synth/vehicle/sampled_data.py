@@ -89,5 +89,5 @@ def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound,
     try:
         certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise DesignError(f"the law for the sampled loop cannot be converted to the ideal loop: {error}") from error
+        raise DesignError(f"the law designed for the sampled loop cannot be converted to continuous time: {error}") from error
     return Controller.of(entry, law, certificate, remarks=(remark,), sampled=True)

@@ -461,7 +461,7 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
             "gain = [[0.1]]\n",
             "which has no sensor for a damper at a motion ratio over travel",
         ),
-        (f"{good}[payload]\nmass = 5e3\n", "rest moves beyond its table"),
+        (f"{good}[payload]\nmass = 5e3\n", "the equilibrium moves beyond the table"),
         (text + "{ deflection = [-0.1, 0.1], ratio = [0.3, 2.9] }\n", "changes so fast with travel that the preload"),
     ):
         with pytest.raises(InputError, match=words) as refused:

@@ -344,7 +344,7 @@ def test_a_spreadsheet(tmp_path):
         assert again is not None
         np.testing.assert_array_equal(again.heights, found.heights)
     (tmp_path / "road.xlsx").write_bytes(spreadsheet(rows, rows))
-    with refused("has tables in the sheets s1, s2; which one is it?"):
+    with refused("has tables in the sheets s1, s2, but only one is read"):
         choose_road("road.xlsx", tmp_path)
 
 

@@ -267,7 +267,7 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
     assert "agrees" in said
     assert f"force at rest is 4756 N, but the static load is {weight:.1f} N, a difference of {weight - 4756:+.1f} N" in warned
     assert read_with(tmp_path, own.replace(" }", f", preload = {weight} }}", 1)).doubts == []
-    with refused("its table carries 1898 to 9323 N, and 10000 N rest on it"):
+    with refused("its table carries 1898 to 9323 N, but the static load is 10000 N"):
         read_with(tmp_path, own.replace(" }", ', preload = "10 kN" }', 1))
     with refused("or preload = true for a table that begins at the free length"):
         read_with(tmp_path, OF_FILE, a=SPRING)

@@ -199,7 +199,7 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
     assert "controllers that run as compiled code: law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
-    with pytest.raises(InputError, match="this campaign was started without this code"):
+    with pytest.raises(InputError, match="this campaign was started without this exported controller"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
 
 

@@ -254,7 +254,7 @@ def test_words_that_need_others_or_are_none():
     """A delay without a period, a bound on the gain where none is designed for, an unknown word: each is a line that names it."""
     peak = [{"peak": "z1", "at_most": 1.0}]
     for words, message in (
-        ({"delay": 1.0}, "delay = 1 samples needs a sample_period"),
+        ({"delay": 1.0}, "delay = 1 samples needs a sample period"),
         ({"largest_gain": 1.0, "order": "full"}, "largest_gain applies only to a static gain"),
         ({"order": "half"}, "order = 'half' is not known; known: full, static"),
         ({"design": "pid"}, "design = 'pid' is not known; known: h2, lqg, lqr"),

@@ -130,7 +130,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert run.passed
     cells = validity(vehicle, controller, [BUMP, replace(BUMP, height=0.03)], sample_times(vehicle, 0.6, 1e-3))
     assert all(one.broke_off == "law overflow" and one.missing > 0.9 for one in cells.driven.values())
-    assert "In 100.0 % of them, the states of the law overflow" in str(describe(cells))
+    assert "In 100.0 % of these runs, the states of the law overflow" in str(describe(cells))
 
 
 def test_a_request_that_swings_behind_a_lag():

@@ -116,7 +116,7 @@ def describe(cells: Cells) -> Document:
         off = f"{100 * LEAVES:g} % of its largest force"
         texts.insert(0, f"A curve is a limit if the force of a spring or damper differs from its linearisation by {off}.")
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
-        texts.append(f"In {SHARE.text(away)} of them, the states of the law overflow, so the law requests no finite force.")
+        texts.append(f"In {SHARE.text(away)} of these runs, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
         texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map includes the dampers.")
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))

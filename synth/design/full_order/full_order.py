@@ -319,7 +319,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
     if best.norm <= least:
         return f"{above}: no faster controller that was tried comes closer; the bound may be out of reach"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
-    other = f"the closest law that was found, norm {digits(nearer.norm)}, has a pole of {brief(nearer.pole)} rad/s"
+    other = f"the law found closest to the bound, with norm {digits(nearer.norm)}, has a pole of {brief(nearer.pole)} rad/s"
     return f"{above}: {other}, but the fastest pole of this law is {brief(best.pole)} rad/s"
 
 

@@ -167,7 +167,7 @@ class MultiObjectiveProblem(Checked):
         plant, Cy = self.members[0].posed[0].plant, self.members[0].posed[0].Cy
         m, q = plant.B.shape[1], len(Cy)
         if not m or not q:
-            raise InputError(f"members have {m} inputs and {q} measurements; give at least one of each")
+            raise InputError(f"the plants of the family have {m} inputs and {q} measurements; give at least one of each")
         check_shape("structure", self.structure, (m, q), "a row for each input, and a column for each measured signal")
         check_shape("tolerance.sensors", self.tolerance.sensors, (q,), "one for each measured signal")
         check_shape("tolerance.forces", self.tolerance.forces, (m,), "one for each input")
