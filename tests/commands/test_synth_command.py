@@ -345,7 +345,7 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
         python = read_vehicle(place).controllers["sky"].python
         assert python is not None
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
-    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a file next"):
+    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a path"):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
 
 
