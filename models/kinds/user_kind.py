@@ -117,8 +117,8 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
         for angle, parts in check("angles(parameters)", angles, Mapping[str, Mapping[str, float]]).items():
             if angle not in ("pitch_angle", "roll_angle") or not signals.issuperset(parts):
                 raise InputError(
-                    f"angles returns {angle!r} as a sum of {listing(parts)}; return {{'pitch_angle': {{signal: factor}}}}, or "
-                    "'roll_angle', with signals of the vehicle type"
+                    f"angles returns {angle!r} as a sum of {listing(parts)}, which is not allowed; return "
+                    "{'pitch_angle': {signal: factor}}, or 'roll_angle', with signals of the vehicle type"
                 )
 
 

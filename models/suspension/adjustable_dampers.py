@@ -176,8 +176,8 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     where += [f"beyond {x[end]:g} m/s, where its end is extended" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
-            f"[curves] {parameter} adds to a semi-active damper, and both together, at c_min, supply energy {where[0]}; give "
-            "only the line and the friction in [curves], and the measured limits as curves c_min and c_max in [actuators]"
+            f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy {where[0]}; "
+            "give only a line and friction in [curves], and the measured limits as curves c_min and c_max in [actuators]"
         )
 
 

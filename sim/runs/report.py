@@ -307,7 +307,7 @@ def _events(run: RunResult) -> Iterator[str]:
         change = f"{half.signal} changes by {DIFFERENCE.digits(half.difference)} of its peak" if known else "the run diverges"
         yield f"accuracy after the lift-off: at half the timestep, {change}"
     elif agreement.lift_off and run.prediction.is_blurred and run.broke_off is None:
-        yield f"accuracy after the lift-off: unknown, as {vehicle.implementation.noise_text} differs at half the timestep"
+        yield f"accuracy after the lift-off: unknown, as half the timestep changes the {vehicle.implementation.noise_text}"
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
         said[SATURATION] = DEMAND_CLIPPED
@@ -494,7 +494,7 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
     force = max(vehicle.linear_model.inputs, key=effect.peak)
     apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
     share = DIFFERENCE.digits(effect.share)
-    return [f"{line}; {force} differs from that of the control law by {apart}, and every signal by at most {share} of its peak"]
+    return [f"{line}; with the control law itself, {force} differs by {apart}, and every signal by at most {share} of its peak"]
 
 
 def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:

@@ -81,11 +81,15 @@ def _parser() -> Parser:
         EPILOG,
     )
     parser.add_controller_and_vehicle("default: all")
-    parser.add_argument("--zero-l", action="store_true", help="set L = 0 instead of equation (14): one-step design of remark 4")
+    parser.add_argument(
+        "--zero-l",
+        action="store_true",
+        help="set the paper's matrix L to 0 instead of its equation (14): one-step design of remark 4",
+    )
     parser.add_argument(
         "--refine",
         action="store_true",
-        help="after the design, lower the norm further, unless the gain grows too much for it; print this trade-off",
+        help="after the design, lower the norm further, as long as the gain does not grow too much; print this trade-off",
     )
     parser.add_argument(
         "--cross-check",
@@ -138,7 +142,9 @@ def _parser() -> Parser:
         help="largest magnitude of a measured signal [SI unit], such as sprung_velocity=2; needed with int32 or int16",
     )
     parser.add_numbers("--rates", "ms", "compare sample periods: compute the norm of the sampled-data loop for each")
-    parser.add_argument("--front", metavar="AXES", help=f"compute about 200 designs between two or three axes: {AXES_HELP}")
+    parser.add_argument(
+        "--front", metavar="AXES", help=f"compute about 200 designs that trade off two or three axes: {AXES_HELP}"
+    )
     parser.add_argument(
         "--picture",
         type=Path,

@@ -313,8 +313,8 @@ def notes(controller: Controller) -> tuple[str, ...]:
         texts.append(f"the bound is {gap} above its optimum, which only gains too large for actuators reach")
     elif steps is not None and steps.moved > SETTLED:
         texts.append(
-            f"the gain did not converge: the last step of its path changed it by {percent(steps.moved)} of its largest entry, "
-            "so it may not be the optimal gain; norm and bound are those of the printed gain"
+            f"the gain did not converge: the last step of the central path changed it by {percent(steps.moved)} of its "
+            "largest entry, so the printed gain may not be optimal; norm and bound are those of the printed gain"
         )
     if controller.redundant:
         texts.append(f"redundant: {', '.join(controller.redundant)} is a combination of the other signals and has no gain")

@@ -360,7 +360,7 @@ class _Asked:
         check_continuous(self.plant)
         if self.Dyw is not None:
             raise InputError(
-                f"{WHERE} Dyw has no effect between samples; with sample_period give noise instead, the rms of each measurement"
+                f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
             )
         from synth.design.static import bounded_work
 

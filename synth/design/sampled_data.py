@@ -423,7 +423,9 @@ def _level(
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
-    raise DesignError(f"the norm of the sampled loop was not found in {ROUNDS} rounds: it is between {below:.7g} and {above:.7g}")
+    raise DesignError(
+        f"the norm of the sampled loop did not converge in {ROUNDS} rounds: it is between {below:.7g} and {above:.7g}"
+    )
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:

@@ -213,7 +213,7 @@ def test_what_else_is_refused():
     with pytest.raises(InputError, match=r"suspension_damping = 700 N s/m, .* outside of c_min = 833.333 to c_max = 6000 N s/m"):
         parse_vehicle(QUARTER.replace("suspension_damping = 1000.0", "suspension_damping = 700.0") + PAIR)
     falling = "{ velocity = [-1.5, -0.2, 0.0, 0.2, 1.5], force = [-250, -200, 0, 200, 250] }"
-    with pytest.raises(InputError, match=r"adds to a semi-active damper, .* supply energy"):
+    with pytest.raises(InputError, match=r"is parallel to a semi-active damper, .* supply energy"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + PAIR)
     told = '[controllers.told]\nmeasured = ["sprung_acceleration", "control_force"]\ngain = [[-500.0, 0.1]]\n'
     with pytest.raises(InputError, match="measures control_force, which has no sensor for a damper with curves c_min and c_max"):

@@ -157,7 +157,7 @@ def test_the_command_says_what_drives(folders, numbers, tmp_path, capsys):
     assert bump([*options, "--no-logs"]) == 0
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 24
-    said = f"the controller runs as compiled code in {numbers}; control_force differs from that of the control law by"
+    said = f"the controller runs as compiled code in {numbers}; with the control law itself, control_force differs by"
     assert said in prose(out)
     assert "law: MuJoCo agrees with the model; linear analysis applies over the whole run" in prose(out)
     assert bump([*options, "--logs", str(tmp_path), "--json"]) == 0

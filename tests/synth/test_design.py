@@ -162,7 +162,7 @@ def test_a_gain_that_is_not_settled_is_said(paper, name):
         percent = f"{100 * early.moved:.2g}"
         with nothing_shared():  # as it is another path than the vehicle's own
             (note,) = notes(ends_early.design("state"))
-        assert note.startswith(f"the gain did not converge: the last step of its path changed it by {percent} % of its")
+        assert note.startswith(f"the gain did not converge: the last step of the central path changed it by {percent} % of its")
 
 
 CHAIN = np.diag(np.ones(2), 1)

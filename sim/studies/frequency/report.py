@@ -215,7 +215,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     if not wild.all():
         largest = f"{PEAK.cell(one)} at {HERTZ.text(HZ * one.worst_omega)}"
         outside = SHARE.text(float(np.nanmax(one.outside)))
-        text += f" The largest gain is {largest}. At most {outside} of a signal's energy is at other frequencies."
+        text += f" The largest gain is {largest}. At most {outside} of a signal's energy is not at the road's frequency."
     yield Statement(text)
     for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, because the states of the law overflowed")):
         if which.any() and not wild.all():

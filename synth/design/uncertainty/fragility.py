@@ -275,7 +275,7 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
     if not math.isfinite(found):
         return f"fragility: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
-    return f"fragility: errors of {whose(report)} of {_percents(found)} ({errors}) make the loop unstable; {proved}"
+    return f"fragility: {_percents(found)} errors of {whose(report)} ({errors}) make the loop unstable; {proved}"
 
 
 def proved_text(report: Fragility, norms: bool = True) -> str:
