@@ -285,7 +285,7 @@ def _rides(designs: Designs) -> list[Statement]:
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
     given = ", if dampers give every force" if designs.vehicle.dampers else ""
-    loop = f"Ride (weighted rms acceleration) of the ideal loop, road class {ROAD_CLASS} at {SPEED:g} m/s{given}"
+    loop = f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}"
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
     if worse:

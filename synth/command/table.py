@@ -193,7 +193,7 @@ def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
         return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED):
-        return f"{lowest}, because no control force changes z at {where} (invariant point)."
+        return f"{lowest}: no force changes z at {where}."
     return f"{lowest}, because no control lowers z further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
 
 
@@ -257,7 +257,7 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
     elif controller.specifications:
         first, *others = controller.specifications
         kept = sum(one.holds for one in others)
-        rest = f"; {kept} of {len(others)} other specifications hold" if others else ""
+        rest = f"; {kept} of {len(others)} other goals hold" if others else ""
         yield f"{replace(first, where='').text}{rest}"
     elif (gains or row.refined) and controller.designed:
         text = pid_line(controller) if controller.law.states else f"gain {gain_text(controller.law.D)}"

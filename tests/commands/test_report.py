@@ -243,7 +243,7 @@ def test_what_is_left_out_is_said(tmp_path, capsys):
     rest = "state_printed, I_printed, II_printed"
     assert rest in (tmp_path / "car.html").read_text("utf-8")
     said = prose(capsys.readouterr().out)
-    assert f"left out: {rest}; add one with --controller NAME, or all with --controller all" in said
+    assert f"not simulated: {rest}; add one with --controller NAME, or all with --controller all" in said
     assert main([*options, str(tmp_path / "other.toml"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["left_out"] == []

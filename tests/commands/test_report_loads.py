@@ -31,7 +31,7 @@ def test_loads_in_a_report_are_those_of_a_drive(tmp_path, capsys):
         assert (row["MuJoCo"], row["sampled"]) == (f"{measured['mujoco']:.4g}", f"{measured['linear']:.4g}")
     assert rows["pitch angle at end"]["at rest, linear"] == f"{run['static_angles']['pitch_angle']:.4g}"
     (said,) = [line for line in found["answer"] if line.startswith("Under brake:g=0.4")]
-    assert "`passive`: agrees" in said
+    assert "`passive`: MuJoCo agrees" in said
     for title in ("heave load", "pitch load", "pitch angle", "suspension deflection rear"):
         assert title in text
 

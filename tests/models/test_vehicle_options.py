@@ -480,7 +480,7 @@ def test_designs_weigh_banks_and_loads_on_wheels():
     assert controller.certificate.bound >= controller.certificate.norm.value
     assert driven(car, HARD["full_car"], 0.6, "held").passed
     assert "roll_acceleration" not in car.linear_model.measurable  # it has the road's height in it
-    assert "the height of the road's pitch, roll, twist: 1 m counts as" in twist_lines(car)[0]
+    assert "the height of the road's pitch, roll, twist, of which 1 m counts as" in twist_lines(car)[0]
 
 
 @pytest.mark.attack

@@ -149,7 +149,7 @@ def test_inspected(built, tmp_path, capsys):
 
 SLOW = "\n[implementation]\nsample_period = 0.05\n"  # s: at 20 Hz what is best with samples is unstable without
 HELD = f"{SLOW}sampled = true\n"
-WITHOUT = "without a computer its loop is unstable"
+WITHOUT = "without sampling the loop is unstable"
 
 
 @pytest.fixture
@@ -223,7 +223,7 @@ def test_a_report_of_it(held, tmp_path, capsys):
 @pytest.mark.attack
 def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held, monkeypatch):
     """A sampled design keeps its gain where margins are found without the computer; where it has none, that is the reason."""
-    with pytest.raises(InputError, match="without a computer its loop is not stable"):
+    with pytest.raises(InputError, match="because its ideal loop is not stable"):
         margins(["--vehicle", str(held), "--controller", "I"])
     held.write_text(held.read_text().replace("sample_period = 0.05", "sample_period = 0.01"))
     found = []
