@@ -349,8 +349,8 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force continues {side} at its last slope and falls by {-curve.slopes[end]:g} N per {over.unit}; give a "
-                "last point that ends flat or rising"
+                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, as the last slope continues; give a last "
+                "point that ends flat or rising"
             )
     return curve
 

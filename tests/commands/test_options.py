@@ -126,7 +126,7 @@ REFUSED = [
     ("synth --front ride:ride", "names ride twice"),
     ("synth --front ride:speed", "there is no axis 'speed'"),
     ("synth --front band=8-4:travel", "band=8-4 is not a band"),
-    ("synth --front tolerance=200:travel", "tolerance=200 is not an error"),
+    ("synth --front tolerance=200:travel", "tolerance=200 is not a valid error"),
     ("synth --front ride:travel --controller passive", "it measures nothing"),
     ("synth --front ride:travel --controller I --controller II", "of one controller, but --controller gives 2"),
     ("synth --front ride:travel --refine", "--front designs a trade-off"),

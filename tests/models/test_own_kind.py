@@ -136,7 +136,7 @@ def test_equations_that_do_not_work(folder, old, new, said):
         ("invariants", "(Invariant('z', ('x',), len, len),)", "a signal of the invariant 'z' is 'x'"),
         ("loads", "(BodyLoad('push', 'mass'),)", "a load is 'push', which is unknown; give one of heave_load, pitch_load"),
         ("loads", "(BodyLoad('heave_load', 'mass'),)", "the loads none; return .* in its order, heave_load"),
-        ("angles", "lambda p: {'pitch': {}}", "angles returns 'pitch' as a sum of none; return {'pitch_angle': {signal"),
+        ("angles", "lambda p: {'pitch': {}}", "angles returns 'pitch' as a sum of none, which is not allowed"),
         ("linear_model", "None", "linear_model = None is not allowed; give a function"),
         ("check_together", "lambda p: p['x']", r"check_together fails \(KeyError: 'x'"),
     ],
