@@ -145,7 +145,7 @@ def test_names_of_other_tools(old, new, names, library, tmp_path):
     driver = parse_vehicle(f"{TEXT}{THEIRS}{names}\n", folder=tmp_path).controllers["theirs"].driver()
     assert OwnLaw(driver, 1)(np.zeros(2), 0.0, 0.005, None, {}).tolist() == [1.0]  # pyright: ignore[reportArgumentType]
     assert names.partition(" ")[0] in driver.record
-    for wrong, said in (("", names.partition(" ")[0]), (re.sub("(In|Out)1", "In2", names), "it has no variable 'In2', but")):
+    for wrong, said in (("", names.partition(" ")[0]), (re.sub("(In|Out)1", "In2", names), "the FMU has no variable 'In2'")):
         with refused("controller 'theirs'", said):
             run(parse_vehicle(f"{TEXT}{THEIRS}{wrong}\n", folder=tmp_path), ["theirs"], Bump(), duration=0.1)
 
@@ -160,7 +160,7 @@ def test_names_of_other_tools(old, new, names, library, tmp_path):
         ('"N"', '"kN"', "control_force of the FMU has the unit 'kN'; export it in N"),
         ('"sprung_velocity"', '"speed"', "the inputs speed, suspension_deflection, but the controller measures"),
         ('"control_force"', '"torque"', "its outputs are torque; call the forces control_force"),
-        ("linux64", "other64", "the FMU has binaries for other64, and none for linux64; export it for linux64"),
+        ("linux64", "other64", "the FMU has binaries for other64, but not for linux64; export it for linux64"),
         ("</fmiModelDescription>", "", "give an FMU of FMI 2 or 3 for co-simulation"),
         ("", "", "File is not a zip file; give an FMU of FMI 2 or 3 for co-simulation"),
     ],

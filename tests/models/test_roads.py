@@ -217,7 +217,7 @@ def test_bad_opencrg(tmp_path, old, new, said):
     path.write_text(changed)
     with pytest.raises(InputError) as error:
         choose_road("road.crg", tmp_path)
-    assert str(error.value).startswith(f"road file {path}: not an OpenCRG file {said}")
+    assert str(error.value).startswith(f"road file {path}: this is not an OpenCRG file {said}")
     assert len(str(error.value).splitlines()) == 1
 
 
