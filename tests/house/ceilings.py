@@ -32,7 +32,7 @@ vehicle file, types, equations, MJCF                           5245   1634    25
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,vehicle-data}.md
 laws and families in files                                      259    349    108
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
-foreign FMU as a controller                                     146    203      0
+foreign FMU as a controller                                     146    204      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
 laws in Python                                                  643    694    100
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py

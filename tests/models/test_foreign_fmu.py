@@ -139,8 +139,9 @@ def test_it_is_terminated(library, tmp_path, monkeypatch):
         ('"control_force"', '"Out1"', 'outputs = { Out1 = "control_force" }'),
     ],
 )
-def test_names_of_other_tools(old, new, names, library, tmp_path):
+def test_names_of_other_tools(old, new, names, library, tmp_path, monkeypatch):
     """Variables of other names are the signals that the vehicle file gives; without these, and with wrong ones, it is refused."""
+    monkeypatch.chdir(tmp_path)  # its FMU writes a file at its end
     packed(tmp_path / "their.fmu", library, "good", old, new)
     driver = parse_vehicle(f"{TEXT}{THEIRS}{names}\n", folder=tmp_path).controllers["theirs"].driver()
     assert OwnLaw(driver, 1)(np.zeros(2), 0.0, 0.005, None, {}).tolist() == [1.0]  # pyright: ignore[reportArgumentType]
