@@ -75,7 +75,7 @@ class Scope:
 
     @property
     def speed(self) -> float:
-        """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle stands on a rig."""
+        """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle is on a rig."""
         return self.road.speed or Bump().speed
 
     @property
