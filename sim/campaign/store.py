@@ -120,7 +120,9 @@ class Store:
 
 def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:
     """Returns some columns of a file, which has them, and all `expected` ones."""
-    with reading(path, "results", "remove it, and run the campaign again"), path.open("rb") as stream:  # a path may have a colon
+    # Arrow opens the file: its threads release what they read, and one that releases memory of Python while the interpreter ends
+    # aborts the process. A path may have a colon, so it is not passed to ParquetFile, which would take it for an address.
+    with reading(path, "results", "remove it, and run the campaign again"), pa.OSFile(str(path)) as stream:
         file = pq.ParquetFile(stream)
         other = {*expected, *names} - {*file.schema_arrow.names}
         if other:

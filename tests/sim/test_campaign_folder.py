@@ -7,6 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -87,6 +88,15 @@ def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage
     assert len(named) == 1
     assert printed.err == f"roadproof: {named[0]}\n"
     assert "simulated again" in named[0]
+
+
+def test_threads_of_arrow_hold_nothing_of_python(whole, monkeypatch):
+    """A thread that releases an object of Python while the interpreter ends aborts the process, after the table is printed."""
+    sources, ParquetFile = [], pq.ParquetFile
+    monkeypatch.setattr(pq, "ParquetFile", lambda source: sources.append(source) or ParquetFile(source))
+    table = campaign_store._read(whole[0] / "results.parquet", ["run"])
+    assert len(table) > 0
+    assert [type(source) for source in sources] == [pa.OSFile]
 
 
 def test_verify(whole, capsys):
