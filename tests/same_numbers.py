@@ -33,8 +33,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 HERE = Path(__file__).parent
 RULER = HERE / "support" / "ruler"
 CARS = [HERE / "support/active_suspension.toml", *sorted((HERE / "benchmarks/cars").glob("*.toml"))]
