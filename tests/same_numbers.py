@@ -122,11 +122,13 @@ def compare(old: Any, new: Any, within: bool = False, place: str = "", scale: fl
 
 def beyond_limit(old: dict[str, Any], new: dict[str, Any], within: bool, place: str) -> Iterator[tuple[str, str, str]]:
     """Yields numbers that are not compared and are now beyond the limit next to them."""
-    if within and is_number(old.get("allowed")) and is_number(new.get("allowed")):
-        for key in old.keys() & new.keys():
-            if is_number(old[key]) and is_number(new[key]) and key != "allowed" and tolerance(f"{place}.{key}") is None:
-                if abs(old[key]) <= old["allowed"] and abs(new[key]) > new["allowed"]:
-                    yield "differs", f"{place}.{key}", f"{new[key]:g} is beyond its limit {new['allowed']:g}"
+    limits = [one.get("allowed") for one in (old, new)]
+    if not within or not all(map(is_number, limits)):
+        return
+    for key in old.keys() & new.keys() - {"allowed"}:
+        numbers = is_number(old[key]) and is_number(new[key]) and tolerance(f"{place}.{key}") is None
+        if numbers and abs(old[key]) <= limits[0] and abs(new[key]) > limits[1]:
+            yield "differs", f"{place}.{key}", f"{new[key]:g} is beyond its limit {limits[1]:g}"
 
 
 def log_name(path: Path) -> str:
@@ -205,14 +207,18 @@ def said(checkout: Path, folder: Path, command: Sequence[str]) -> tuple[int, Any
     return done.returncode, json.loads(out) if out else err
 
 
+def filled(folder: Path) -> Path:
+    """Returns a new folder with the files of all commands."""
+    shutil.copytree(RULER, folder)
+    own = [path for name in TYPES for path in (HERE.parent / "models/gallery" / name).iterdir() if path.is_file()]
+    for file in (*CARS, *own):
+        shutil.copy(file, folder / (f"{file.parent.name}.toml" if file.name == "car.toml" else file.name))
+    return folder
+
+
 def answer(checkout: Path, folder: Path, line: str) -> Answer:
     """Runs the commands of a line, one after the other, in a folder of its own."""
-    shutil.copytree(RULER, folder)
-    for file in [
-        *CARS,
-        *(path for name in TYPES for path in (HERE.parent / "models/gallery" / name).iterdir() if path.is_file()),
-    ]:
-        shutil.copy(file, folder / (f"{file.parent.name}.toml" if file.name == "car.toml" else file.name))
+    filled(folder)
     start = time.monotonic()
     objects = [said(checkout, folder, shlex.split(command)) for command in line.split(" ; ")]
     return Answer(folder, objects, time.monotonic() - start)
@@ -262,7 +268,7 @@ def every_difference(old: Answer, new: Answer, within: bool) -> Iterator[tuple[s
             yield from compare_results(one, new.folder / one.name, within)
 
 
-def read_lines(path: Path) -> list[str]:
+def lines_of(path: Path) -> list[str]:
     """Lines of a file without comments."""
     lines = (line.strip() for line in path.read_text().splitlines())
     return [line for line in lines if line and not line.startswith("#")]
@@ -280,8 +286,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", metavar="GLOB", default="*", help="commands to run")
     given = parser.parse_args(arguments)
     old, new = given.old.resolve(), given.new.resolve()
-    lines = [line for line in read_lines(RULER / "commands.txt") if fnmatchcase(line, given.only)]
-    allowed = {Allowed(*line.rsplit(None, 1)): 0 for line in read_lines(given.allow)} if given.allow else {}
+    lines = [line for line in lines_of(RULER / "commands.txt") if fnmatchcase(line, given.only)]
+    allowed = {Allowed(*line.rsplit(None, 1)): 0 for line in lines_of(given.allow)} if given.allow else {}
     failed = unchanged = 0
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(2) as pool:
         jobs = [both(old, new, line, Path(temporary, str(i)), pool) for i, line in enumerate(lines)]
