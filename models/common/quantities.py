@@ -4,7 +4,7 @@ Road profiles, drive files of rigs, curves of dampers and springs, and loads ove
 """
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from models.common.errors import InputError, listing, quoted
@@ -32,8 +32,8 @@ class Quantity:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "distance": Quantity(LENGTH, "along the road", "dist x s u station chainage position pos"),
-    "height": Quantity(LENGTH, "up", "heights h z elevation elevations elev altitude profile"),
+    "distance": Quantity(LENGTH, "along the road", "dist x s u station chainage position pos strecke stationierung"),
+    "height": Quantity(LENGTH, "up", "heights h z elevation elevations elev ele altitude alt profile höhe höhen"),
     "left": Quantity(LENGTH, "up, under the left wheels", "l lwp"),
     "right": Quantity(LENGTH, "up, under the right wheels", "r rwp"),
     "time": Quantity(TIME, "", "t"),
@@ -47,7 +47,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 UNREAD = "another quantity"
 _WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and words that say nothing about a quantity
     UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
-    "": "wheel wheelpath path track road surface ground along the of in side vertical",
+    "": "wheel wheelpath path track road surface ground along the of in side vertical gps gnss point above sea level",
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
@@ -141,6 +141,12 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
         if any(unit_size(_unit_of(written, units), unit) for unit in units):
             return Heading(text, text[: gap.start()], _unit_of(written, units), column)
     return Heading(text, text, "", column)
+
+
+def columns_in_words(headings: Sequence[Heading]) -> str:
+    """Returns columns by their numbers and headings, as in: columns 1 ('X') and 2 ('Y')."""
+    names = [f"{one.column} ({quoted(one.text)})" for one in headings]
+    return f"column{'s' * (len(names) > 1)} {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}"
 
 
 def _unit_of(written: str, units: Collection[str]) -> str:

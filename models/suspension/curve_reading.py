@@ -10,8 +10,8 @@ from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.suspension.curve import ForceCurve, slope_at_rest
+from models.suspension.curve_lines import lines_from_rest, slopes_at_rest, thinned
 from models.suspension.surface import ForceSurface, surface_of
-from models.suspension.thinning import lines_from_rest, slopes_at_rest, thinned
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant

@@ -25,9 +25,9 @@ from models.common.errors import InputError, quoted
 from models.suspension import RATIO
 from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
+from models.suspension.curve_lines import lines_from_rest
 from models.suspension.curve_reading import DEFLECTION, MOST_LINES, points
 from models.suspension.surface import ForceSurface, surface_of
-from models.suspension.thinning import lines_from_rest
 
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
 ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
