@@ -18,7 +18,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
-from models.common.quantities import UNREAD, Heading, check_unit_options, columns_in_words
+from models.common.quantities import UNREAD, Heading, check_unit_options, left_out_words
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
 from models.roads.load_choice import setting
 from models.roads.profile import Profile, check_points
@@ -81,8 +81,7 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     roles = [replace(one, name=names.get(i, one.name)) for i, one in enumerate(headings)]
     used = choose_columns(table, roles, [i for i in wanted if not path or i != place[1]], stepped)
     points, lines = table.numbers(used, ragged=bool(wanted))
-    left = [one for i, one in enumerate(headings) if one.text and i not in (*used, *place[: 2 * path])]
-    note = [f"{columns_in_words(left)} {'are' if len(left) > 1 else 'is'} left out"] if left else []
+    note = left_out_words(headings, [i + 1 for i in (*used, *place[: 2 * path])])
 
     height_unit, unit = given.get("height_unit", ""), given.get("distance_unit", "")
     scales = [headings[i].scale("distance", "height_unit", height_unit, "m") for i in used[not stepped :]]

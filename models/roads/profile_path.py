@@ -19,6 +19,7 @@ DEGREES = ("longitude lon lng long längengrad länge", "latitude lat breitengra
 PLANES = (  # words of coordinates to the east and to the north; a path has one column of each
     ("easting east rechtswert ostwert rw ost", "northing north hochwert nordwert hw nord"), ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip
+HEIGHTS = {"height", "left", "right"}
 AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: m, and a ratio
 BLOCK = 5.0  # m of a path, over which positions are averaged
 NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: to be remarked, and to be refused
@@ -28,11 +29,13 @@ SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and o
 
 
 def coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> tuple[int, ...]:
-    """Returns the columns of two horizontal coordinates, east and north, from 0; empty if there are none.
+    """Returns the columns of two horizontal coordinates, east and north, from 0; empty without these or without a height.
 
     Args:
         wanted: the columns that may be used, from 0; all if empty.
     """
+    if len(wanted) == 2 or not (wanted or HEIGHTS & {one.quantity for one in headings}):
+        return ()
     for words in PLANES:
         east, north = ([i for i, one in enumerate(headings) if one.words & {*names.split()}] for names in words)
         if len(east) == len(north) == 1 and east != north and (not wanted or {*east, *north} <= {*wanted}):
@@ -127,7 +130,7 @@ def check_same_road(table: NumberTable, headings: Sequence[Heading], distance: A
     if abs(length - np.ptp(distance)) > DIFFERENT * length:
         raise InputError(
             f"column {heading.column}, {quoted(heading.text)}, has a length of {np.ptp(distance):.6g} m, but the path through "
-            f"{columns_in_words(headings)} has {length:.6g} m; remove one of them, or choose columns, as in :columns=1,2,3"
+            f"{columns_in_words(headings)} has {length:.6g} m; remove one, or choose distance and height, as in :columns=3,4"
         )
 
 

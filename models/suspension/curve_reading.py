@@ -36,7 +36,7 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
 MOST_POINTS = 20_000  # of a table
 MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs 2 % of a quarter-car's time step
 AT_REST = 2  # more lines of a thinned curve, which keep its slopes next to rest
-USUAL_ERROR = 0.005  # over a curve's largest force, if its table has more lines than that
+ERRORS = (0.005, 0.01, 0.02)  # over a curve's largest force, if its table has more lines than that: the first with few lines
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
 CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
@@ -274,7 +274,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
         raise InputError(
-            f"force is {np.abs(force).max():g} N at most, and nothing below {SMALLEST_FORCE:g} N counts; give it in N"
+            f"the force differs by at most {np.abs(force).max():g} N from the force at rest; give at least {SMALLEST_FORCE:g} N"
         )
     if 0.0 not in x:
         i = int(np.searchsorted(x, 0.0))
@@ -290,15 +290,17 @@ def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]
     indices = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
     if fit_error is not None or len(indices) > MOST_LINES + 1:
-        error = USUAL_ERROR if fit_error is None else float(fit_error)
-        x, force = lines_from_rest(x, force, slopes_at_rest(x, force, error * largest), error * largest)
-        words += f" replaced by {len(x) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
-        if len(x) > MOST_LINES + AT_REST + 1:
+        for error in ERRORS if fit_error is None else (float(fit_error),):
+            ends, forces = lines_from_rest(x, force, slopes_at_rest(x, force, error * largest), error * largest)
+            if len(ends) <= MOST_LINES + AT_REST + 1:
+                break
+        else:
             raise InputError(
-                f"needs {len(x) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
+                f"needs {len(ends) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
                 f"{MOST_LINES + AT_REST} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
             )
-        return x, force, words
+        words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
+        return ends, forces, words
     return x[indices], force[indices], words
 
 
