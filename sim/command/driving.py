@@ -127,6 +127,7 @@ def drive(
         pairs = [(run.vehicle, run.controller) for run in runs]
         samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
         start, words = float(time[samples[0]]), run_metrics.measured_words(time, samples)
+        words += run_metrics.end_words(road, options.duration)
         driven = [replace(each, metrics=[run_metrics.measure_run(run, *samples) for run in each.runs]) for each in driven]
         step = {"step": None}
         if step_response.step_of(road):
@@ -226,12 +227,13 @@ def _result(options: Namespace, each: Driven, measured: tuple[float, float | Non
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
     if each.metrics:
         from sim.studies.ride.metrics import DEFINITIONS
-        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, roughness_object
+        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, points_end, roughness_object
 
         rows, (start, end) = zip(each.objects, each.runs, each.metrics, strict=True), measured
         result |= {
             "runs": [one | metrics_object(run, of_run) for one, run, of_run in rows],
             "measured_from": start,
+            "road_ends": points_end(road, float(time[-1])),
             **({} if end is None else {"measured_until": end}),
             "definitions": DEFINITIONS,
             "iri": roughness_object(driven_roughness(each.vehicle, road, time)),

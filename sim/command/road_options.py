@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from models.roads.road import Road
     from models.vehicle.vehicle import Vehicle
 
-NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
-
 
 def add_vehicles(parser: Parser) -> None:
     """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
@@ -155,6 +153,8 @@ def starts_later(options: argparse.Namespace) -> bool:
 
 def end_lines(road: "Road", duration: float) -> list[str]:
     """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
+    from sim.studies.ride.run_metrics import NEARLY
+
     ends = road.duration
     if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
         return []

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import as_name, finite, percent
+from models.common.printed import as_name, finite, percent, rough
 from models.document.document import Document, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.document.text import Shown, facts
@@ -38,6 +38,7 @@ from synth.controller.controller import AnyController, Controller
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
+NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a remark
 NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
 
 
@@ -170,6 +171,18 @@ def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
     return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, the passage"
 
 
+def points_end(road: Road, duration: float) -> float | None:
+    """Returns the time at which the points of a road from a file end [s]; None if they last as long as a run [s]."""
+    ends = road.duration
+    return ends if road.points is not None and ends < duration and not math.isclose(ends, duration, rel_tol=NEARLY) else None
+
+
+def end_words(road: Road, duration: float) -> str:
+    """Returns a phrase on a road whose points end before a run of this duration [s]; empty for other roads."""
+    ends = points_end(road, duration)
+    return "" if ends is None else f"; after {rough(ends)} s, the road has no points and is straight"
+
+
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
@@ -224,7 +237,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         roughness: every IRI of the road that the run passes.
     """
     vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
-    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}"
+    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}{end_words(run.road, end)}"
     random = any(one.expected is not None for one in metrics.metrics.values())
     if run.broke_off is not None and not random:
         return Document(title, notes(*about))
