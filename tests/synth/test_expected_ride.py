@@ -46,7 +46,7 @@ def test_it_is_what_a_drive_expects(name):
 
 
 def test_a_friction_like_damper_rides_as_in_mujoco(tmp_path, capsys):
-    """The expected ride of `synth` and of `sim.drive` is that in MuJoCo over long roads; by the slope at rest it is 1.7 times that."""
+    """The expected ride of `synth` and of `sim.drive` is that in MuJoCo over long roads."""
     v = np.linspace(-2.0, 2.0, 401)
     force = 900 * np.tanh(v / 0.06) + 600 * v
     table = f"{{ velocity = {v.tolist()}, force = {force.tolist()}, fit_error = 0.01 }}"
