@@ -278,11 +278,13 @@ def settled(
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
     """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    from models.suspension.measured_loop import slope_words
+
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
     for name, curve in curves.items():
         carried, load = -curve.at_rest, loads.get(name)
-        notes += [f"{name}: {curve.note}"] if curve.note else []
+        notes += [f"{name}: {curve.note}{slope_words(curve)}"] if curve.note else []
         if carried and load is not None and abs(carried - load) > CARRIED * load:
             notes.append(
                 f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "

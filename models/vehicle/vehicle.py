@@ -178,6 +178,11 @@ class Vehicle(Shown):
         """True if a suspension has a curve that is not straight."""
         return any(each.curve.bent for each in self.fitted)
 
+    def argument_of(self, fitted: "SuspensionCurve") -> str:
+        """Returns the name of the signal on which a curve's force depends: velocity or deflection of its suspension."""
+        parts = {part.deflection: part for part in self.kind.suspensions}
+        return parts[fitted.deflection].velocity.name if fitted.damps else fitted.deflection
+
     def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
 

@@ -27,7 +27,7 @@ from synth.design.descent.flatness import free_moves
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
+from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
 FREE = "limits for every controller"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
@@ -228,7 +228,8 @@ def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict
         "vehicle": designs.vehicle.kind.name,
         "controllers": [row_object(row) for row in designs.rows],
         "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive},
+        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
+        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.is_curved else {}),
         "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
         **written(outputs),
     }
@@ -278,19 +279,28 @@ def document(designs: Designs, options: Namespace) -> Document:
 def _rides(designs: Designs) -> list[Statement]:
     """Returns the expected ride of every controller, and those that ride worse than the passive suspension."""
     rides, passive = {row.name: row.ride for row in designs.rows if row.ride is not None}, designs.passive
+    without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     if not rides:
-        return []
+        return [*notes(*without)]
     rides = ({"passive": passive} if passive is not None else {}) | rides
     changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
     given = ", if dampers give every force" if designs.vehicle.dampers else ""
-    loop = f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}"
+    loop = (
+        f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{f', by {METHOD}' * designs.vehicle.is_curved}"
+    )
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
     if worse:
         said.append(f"The ride is WORSE than passive: {', '.join(worse)}. A small norm alone does not make a car comfortable.")
-    return [*notes(*said, detail="brief")]
+    return [*notes(*said, *without, detail="brief")]
+
+
+def _without_ride(designs: Designs) -> dict[str, str]:
+    """Returns the stable controllers without an expected ride, each with the reason."""
+    some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
+    return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
 def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:

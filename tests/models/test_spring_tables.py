@@ -314,7 +314,15 @@ def test_a_measured_loop_is_its_mean(tmp_path, capsys, first):
     curve, x = vehicle.curves["suspension_damping"], np.linspace(-0.59, 0.59, 119)
     assert np.abs(curve(x) - mean(x)).max() < 0.01 * 1776  # 0.5 % of thinning, and noise
     (note,) = vehicle.doubts
-    most, where, rest = (float(found) for found in re.findall(r"(-?[\d.]+) (?:N either|m/s|N at rest)", note))
+    number = r"(-?[\d.]+(?:e[+-]\d+)?)"
+    pattern = rf"{number} N either way at {number} m/s, {number} N at rest .* {number} N s/m over"
+    pattern += rf".* rest {number} N s/m, .* {number} and {number} m/s"
+    most, where, rest, energy, slope, low, high = (float(found) for found in re.findall(pattern, note)[0])
+    v = 0.6 * np.sin(turn)
+    assert energy == pytest.approx(float((force - 150) @ v / (v @ v)), rel=2e-3)  # 4 digits, and the gas to 1 N
+    assert slope == pytest.approx(curve.slope, rel=1e-3)
+    assert low < 0 < high
+    assert curve.slope == pytest.approx(float(curve(np.array(high)) / high + curve(np.array(low)) / low) / 2, rel=1e-2)
     assert most == pytest.approx(80, abs=6)  # twice the noise
     assert abs(where) < 0.2  # where the cosine is flat
     assert rest == pytest.approx(150, abs=6)
