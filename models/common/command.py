@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import json
 import math
 import re
 import shlex
@@ -9,7 +10,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from models.common.errors import TRACEBACK, InputError, listing, one_line
 from models.common.printed import WIDTH, command, show, wrapped
@@ -74,6 +75,7 @@ class Parser(argparse.ArgumentParser):
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
                 self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
+        _said.clear()
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join(["python", "-m", self.module, *args])
@@ -259,10 +261,27 @@ class _Flag(argparse.Action):
         setattr(namespace, self.dest, True)
 
 
+_said = list[str]()  # remarks of the running command
+
+
 def complain(message: str) -> None:
-    """Prints a message to stderr as one printable line."""
+    """Prints a message to stderr as one printable line, and keeps the message for `--json`."""
+    _said.append(one_line(message))
     show("")  # clears the progress
-    print(f"roadproof: {one_line(message)}", file=sys.stderr)
+    print(f"roadproof: {_said[-1]}", file=sys.stderr)
+
+
+def remarked(given: Any) -> Any:
+    """Returns a vehicle or a road, after its `doubts` are printed to stderr, each once in a command."""
+    for doubt in given.doubts:
+        if one_line(doubt) not in _said:
+            complain(doubt)
+    return given
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Prints the result of a command as JSON, with the lines on stderr as `remarks`."""
+    print(json.dumps({**result, "remarks": _said}, allow_nan=False))
 
 
 def _page(text: str) -> str:

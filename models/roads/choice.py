@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from models.common.checks import SETTINGS
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
@@ -20,10 +21,7 @@ from models.roads.road import Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
 from models.vehicle.vehicle import Vehicle
 
-UNITS = {  # of numbers of roads; all others are lengths
-    **dict.fromkeys(("start", "duration"), "s"), **dict.fromkeys(("frequency", "lowest", "highest"), "Hz"),
-    "phase": "deg", "iri": "m/km", "gd": "m3", "waviness": "", "band": "cycle/m",
-}  # fmt: skip
+UNITS = {**SETTINGS, "waviness": "", "band": "cycle/m"}
 RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # settings of a random road
 TABLE = ("distance_unit", "height_unit", "unit", "separator", "columns", "step")  # of a file with a table
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import SETTINGS
 from models.common.errors import InputError, listing
 from models.common.files import reading
 from models.common.printed import settings
@@ -15,7 +16,6 @@ from models.common.table import find_table
 from models.common.units import quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
-from models.roads.load import UNITS as SETTING_UNITS
 from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
@@ -143,7 +143,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     load = LOADS[kind]
     try:
         given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: setting(name, value, SETTING_UNITS.get(name, "g")) for name, value in given.items()})
+        return load(**{name: setting(name, value, SETTINGS[name]) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 

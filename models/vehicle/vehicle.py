@@ -1,6 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, read_text
+from models.common.plausibility import remarks
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
@@ -26,7 +28,6 @@ from models.vehicle.limits_and_implementation import (
     check_period,
     read_implementation,
     read_limits,
-    unit_doubts,
 )
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
@@ -35,6 +36,7 @@ from models.vehicle.sections import (
     curves_and_parameters,
     dampers_of,
     in_si_units,
+    known_quantities,
     ratio_doubts,
     read_performance,
     read_sampled,
@@ -145,6 +147,9 @@ class Vehicle(Shown):
     def with_parameters(self, **parameters: float) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
+        Args:
+            parameters: values [SI], or texts with a unit, such as "450 kg". Improbable values are warned of.
+
         Raises:
             InputError: a parameter is unknown or not allowed, or they are not a vehicle together.
 
@@ -154,7 +159,11 @@ class Vehicle(Shown):
             >>> heavier.parameters["sprung_mass"]
             600.0
         """
-        return self.altered(parameters).checked()
+        vehicle, known = self.altered(self.kind.check_each({**self.parameters, **parameters})).checked(), self.doubts
+        for doubt in vehicle.doubts:
+            if doubt not in known:
+                warnings.warn(doubt, stacklevel=2)
+        return vehicle
 
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
@@ -494,12 +503,11 @@ class Vehicle(Shown):
 
     @property
     def doubts(self) -> list[str]:
-        """Questions about numbers that are probably not in SI units, and remarks on its curves."""
+        """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        wheel, measured = self.kind.at_wheels(self.parameters), {part.damping for part in self.kind.suspensions} & {*self.curves}
         return [
-            *unit_doubts({name: value for name, value in wheel.items() if name not in measured}, self.limits),
+            *remarks(known_quantities(self)),
             *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),

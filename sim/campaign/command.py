@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from models.common.command import complain, versions
+from models.common.command import complain, print_json, versions
 from models.common.errors import InputError, listing
 from models.common.files import read_text
 from models.common.printed import Stages, Whole, say
@@ -104,7 +104,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             "saved_controller": saved,
             **written(outputs),
         }
-        print(json.dumps(result, allow_nan=False))
+        print_json(result)
         return 0 if within else 1
     now = f"{progress.done} of them simulated now, {RATE.text(progress.rate)}" if progress.done else "all simulated before"
     lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
@@ -134,7 +134,7 @@ def check_results(options: argparse.Namespace) -> int:
     faults, again = verified["faults"], len(verified["again"])
     if options.json:
         about = {"results": str(folder), "runs": runs, "rows": verified["rows"], "seed": options.seed, "remark": remark}
-        print(json.dumps({**about, **verified, "holds": not faults}))
+        print_json({**about, **verified, "holds": not faults})
         return 1 if faults else 0
     found = [*faults, "", "the results DO NOT AGREE with the campaign"]
     if not faults:

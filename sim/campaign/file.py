@@ -12,6 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, check, check_keys
+from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, read_text
 from models.roads.choice import RoadChoice, choose_road
@@ -102,7 +103,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     check_keys("", data, KEYS)
     names = _listed(data, "vehicles", TEXTS)
-    vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name) for name in names}
+    vehicles = {name: remarked(read_vehicle(folder / name if (folder / name).is_file() else name)) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
     controllers = tuple(unicodedata.normalize("NFC", name) for name in _listed(data, "controllers", TEXTS))
     _check_once("controllers", controllers, controllers)
@@ -128,7 +129,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     drawn = read_samples(data.get("samples"), vehicles, controllers)
     campaign = Campaign(vehicles, controllers, roads, speeds, _seeds(data), duration, settle, timestep, *drawn, text)
     for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, speeds):
-        built = road.build(vehicle, speed, campaign.seeds[0], speed * duration)
+        built = remarked(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     return campaign

@@ -81,13 +81,6 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
     return {"left_out": left} if left else {}
 
 
-def warn(vehicle: Vehicle, controllers: Iterable[AnyController]) -> None:
-    """Warns on stderr of doubtful numbers of a vehicle, and as `say_false_claims` does."""
-    for doubt in vehicle.doubts:
-        complain(doubt)
-    say_false_claims(controllers)
-
-
 def say_false_claims(controllers: Iterable[AnyController]) -> None:
     """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
 
@@ -219,7 +212,7 @@ def run_named(
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
-    warn(vehicle, controllers)
+    say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)
 
 

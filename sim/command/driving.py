@@ -1,6 +1,5 @@
 """The common part of `sim.bump` and `sim.drive`: controllers of vehicles over one road, in MuJoCo and in analysis."""
 
-import json
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
-from models.common.command import chosen_of, complain
+from models.common.command import chosen_of, complain, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.document.document import Document, Statement
@@ -104,7 +103,7 @@ def drive(
     names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
     _check_variants(options, vehicles)
     times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
-    roads = {title: road_of(vehicle, options, times[title]) for title, vehicle in vehicles.items()}
+    roads = {title: remarked(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
     time, road = next(iter(times.values())), next(iter(roads.values()))
     if rides:
         from sim.studies.ride.step_response import check_band
@@ -152,7 +151,7 @@ def drive(
     if options.json:
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
         last = {"compared": standings_object(standings), **written(outputs), "logs": paths}
-        print(json.dumps(result | step | last, allow_nan=False))
+        print_json(result | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
@@ -183,7 +182,7 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
         InputError: a vehicle file, or one that is given twice.
     """
     given = options.vehicles
-    vehicles = [read_vehicle(file) for file in given]
+    vehicles = [remarked(read_vehicle(file)) for file in given]
     if len(given) == 1:
         return {"": vehicles[0]}
     stems = [Path(file).stem for file in given]

@@ -36,7 +36,7 @@ from sim.response.regime import (
 from sim.response.response import Response
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
-from sim.runs.result import RunResult
+from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController, Controller, has_anti_windup
@@ -214,7 +214,7 @@ def verdict(run: RunResult) -> Statement:
         linear = f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
         words += ["MuJoCo agrees with the model", linear]
     if agreement.coarse or (energy is not None and not energy.judged):
-        words.append("the timestep is too coarse for accurate numbers")
+        words.append(COARSE)
     if energy is not None:
         words.append(f"energy {energy.verdict}")
     if run.broke_off is not None and not run.prediction.is_linear:
@@ -347,8 +347,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
         what = f"equals one RK4 step of the vehicle's equations of motion from the same state{end}"
         yield _check("every MuJoCo step" if steps.agrees else wrong, what, steps)
     if commands is not None and not commands.repeatable:
-        text = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
-        yield Statement(text, "note" if commands.agrees else "fails")
+        yield Statement(NOT_REPEATABLE, "note" if commands.agrees else "fails")
     elif commands is not None:
         subject = "every command" if commands.agrees else "COMMANDS DO NOT AGREE: not every command"
         yield _check(subject, "equals the control law evaluated on the run's measurements", commands)

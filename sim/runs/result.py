@@ -1,6 +1,7 @@
 """Results of runs: physics, its prediction, and their comparison."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from models.common.arrays import Array
@@ -12,6 +13,13 @@ from sim.response.response import Response
 from sim.runs.agreement import Agreement
 from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController
+
+COARSE = "the timestep is too coarse for accurate numbers"
+NOT_REPEATABLE = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
+ADVICE = {  # reasons for which a run is undecided, and what to do
+    COARSE: "give a smaller timestep",
+    NOT_REPEATABLE: "seed its random numbers, and keep its state in `state`, or reset the state in a method reset()",
+}
 
 
 @dataclass(frozen=True)
@@ -88,11 +96,24 @@ class RunResult:
         return self.physics.diverged
 
     @property
-    def agrees(self) -> bool:
-        """Returns True if physics agrees with its analysis, for as long as that applies."""
-        return self.agreement.agrees
+    def undecided(self) -> tuple[str, ...]:
+        """Reasons for which the checks cannot confirm the run: a timestep that is too coarse, or a law that is not repeatable."""
+        commands = self.agreement.commands
+        coarse = self.agreement.coarse or (self.energy is not None and not self.energy.judged)
+        return (*[COARSE] * coarse, *[NOT_REPEATABLE] * (commands is not None and not commands.repeatable))
+
+    @property
+    def agrees(self) -> bool | None:
+        """True if physics agrees with its analysis, for as long as that applies; None if the run is `undecided`."""
+        return None if self.agreement.agrees and self.undecided else self.agreement.agrees
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """Remarks on the run and on its road."""
+        yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
+        yield from self.road.doubts
 
     @property
     def passed(self) -> bool:
-        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
-        return self.agrees and (self.energy is None or not self.energy.fails)
+        """Returns True if no check contradicts the analysis, and the energy balances, if that is known and judged."""
+        return self.agreement.agrees and (self.energy is None or not self.energy.fails)

@@ -1,6 +1,5 @@
 """The design table of a vehicle file: every controller designed or checked, how good it is, and what no controller changes."""
 
-import json
 import math
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from models.common.command import print_json
 from models.common.errors import InputError
 from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
 from models.document.document import Block, Document, Statement, Table, notes
@@ -79,7 +79,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         bounds = {row.name: row.sampled_below for row in designs.rows}
         save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
     if options.json:
-        print(json.dumps(designs_object(designs, outputs), allow_nan=False))
+        print_json(designs_object(designs, outputs))
     else:
         say(answer_lines(designs, options, outputs))
     return 1 if any(row.failures for row in designs.rows) else 0

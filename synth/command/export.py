@@ -1,6 +1,5 @@
 """`python -m synth --export` and `--check DIR`: controllers as a folder of C99, an FMU or a file for MATLAB, and their check."""
 
-import json
 import math
 import subprocess
 import tempfile
@@ -9,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.command import ALL, chosen, one_chosen
+from models.common.command import ALL, chosen, one_chosen, print_json
 from models.common.errors import InputError, listing
 from models.common.files import made_folder, together, whole_file
 from models.common.printed import say
@@ -39,7 +38,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
     studied = [name for name in names if options.controller in (None, [ALL]) or name in options.controller]
     if options.json:
-        print(json.dumps(record, allow_nan=False))
+        print_json(record)
     else:
         say([*lines, *(f"{name}: {STUDY}" for name in studied)])
     return 0
@@ -262,7 +261,7 @@ def check_folder(folder: Path, options: Namespace) -> int:
     verdict += "" if isinstance(claims, str) else f"; ITS CLAIMS FAIL: {'; '.join(claims)}"
     failures += [] if isinstance(claims, str) else claims
     if options.json:
-        print(json.dumps({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran}))
+        print_json({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran})
     else:
         claimed = claims if isinstance(claims, str) else "claims of the certificate do not hold"
         say([f"controller {name} as C99 in {law.numbers}", f"  {claimed}", f"  {ran}", "", verdict])
