@@ -11,8 +11,9 @@ from models.common.command import Parser
 from sim.command.road_options import add_loads, add_road, add_run_options, add_vehicles, requested_road
 
 EPILOG = """
-exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
-cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there, without metrics.
+exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
+disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input. A run that diverges
+or fully compresses a tyre ends there, without metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20

@@ -19,6 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
 from models.common.errors import InputError, listing, number_range, quoted
+from models.common.files import path_from
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -282,7 +283,7 @@ def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
         return value, is_finite(value) or (isinstance(value, float) and math.isinf(value))
     if wanted is int:
         return value, isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    value = Path(value) if wanted is Path and isinstance(value, str) else value
+    value = path_from(value) if wanted is Path and isinstance(value, str) else value
     return value, isinstance(value, wanted)
 
 

@@ -69,6 +69,24 @@ class Parser(argparse.ArgumentParser):
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
         return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
+    def parse_known_args(self, args=None, namespace=None):
+        """Returns the options and no other arguments.
+
+        Raises:
+            InputError: bad options, or a value with a space that has no quotes.
+        """
+        options, others = super().parse_known_args(args, namespace)
+        if args and others and not others[0].startswith("-"):
+            end = args.index(others[0]) + 1
+            first = max((i for i in range(end) if args[i].startswith("-")), default=-1)
+            option, value = "".join(args[first : first + 1] if first >= 0 else ()), shlex.quote(" ".join(args[first + 1 : end]))
+            advice = "put quotes around a value that contains spaces"
+            advice += f", as in {f'{option} {value}'.lstrip()}" if end > first + 2 else ""
+            if isinstance(self._option_string_actions.get(option), (argparse._AppendAction, _Vehicles)):
+                advice += f", or repeat {option} for several values"
+            self.error(f"unrecognized argument {others[0]!r}; {advice}")
+        return options, others
+
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
         args = sys.argv[1:] if args is None else args
@@ -308,7 +326,9 @@ def _name(text: str) -> str:
 
 
 def _path(text: str) -> Path:
-    return Path(_text(text))
+    from models.common.files import path_from
+
+    return path_from(_text(text))
 
 
 def _number_in(unit: str) -> Callable[[str], float]:

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import SETTINGS
 from models.common.errors import InputError, listing
-from models.common.files import reading
+from models.common.files import path_from, reading
 from models.common.printed import settings
 from models.common.table import find_table
 from models.common.units import quantity
@@ -136,7 +136,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
     """
     if is_load_file(text):
-        return read_history(folder / text.strip())
+        return read_history(path_from(text.strip(), folder))
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")

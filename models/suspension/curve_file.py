@@ -17,7 +17,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.files import origin, reading
+from models.common.files import origin, path_from, reading
 from models.common.quantities import QUANTITIES, Heading, columns_in_words, left_out_words
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
@@ -123,7 +123,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
         raise InputError(f"file = {quoted(name)} is not the name of a file; {GIVE}")
     if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
         raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
-    file, over = folder / name, _argument(path)
+    file, over = path_from(name, folder), _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
         text = _dpr_columns(table_text(file)) if name.lower().endswith(".dpr") else table_text(file)

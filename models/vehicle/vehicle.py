@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.files import STDOUT, parse_toml, read_text
+from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
 from models.document.document import Document
 from models.document.figure import Figure
@@ -576,7 +576,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
         >>> vehicle.parameters["sprung_mass"], vehicle.linear_model.A.shape
         (504.5, (4, 4))
     """
-    path = Path(file)
+    path = path_from(file)
     if str(file) in shipped() and not path.is_file():
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")

@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, check, check_keys
 from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.files import parse_toml, read_text
+from models.common.files import parse_toml, path_from, read_text
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle.vehicle import Vehicle, read_vehicle
@@ -103,7 +103,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     check_keys("", data, KEYS)
     names = _listed(data, "vehicles", TEXTS)
-    vehicles = {name: remarked(read_vehicle(folder / name if (folder / name).is_file() else name)) for name in names}
+    vehicles = {name: remarked(read_vehicle(file if (file := path_from(name, folder)).is_file() else name)) for name in names}
     _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
     controllers = tuple(unicodedata.normalize("NFC", name) for name in _listed(data, "controllers", TEXTS))
     _check_once("controllers", controllers, controllers)

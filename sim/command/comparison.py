@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.printed import Whole, pasted_path
+from models.common.printed import Whole, pasted_path, show
 from models.document.document import Document, notes, statements
 from models.document.text import text_lines
 from models.roads.road import Road
@@ -46,12 +46,14 @@ def controllers_of(
     drivers: list[AnyController] = []
     errors: dict[str, InputError] = {}
     for name in names:
+        show(f"controller {name}")
         try:
             drivers.append(design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver())
         except InputError as error:
             if name not in vehicle.linear_names or len(names) == 1:
                 raise
             errors[name] = error
+    show("")
     if not drivers:
         raise next(iter(errors.values()))
     for name, error in errors.items():

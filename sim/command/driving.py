@@ -133,6 +133,7 @@ def drive(
             steps = [step_response.measure_step(run, options.band) for run in runs]
             objects = [step_response.step_object(*pair) for pair in zip(runs, steps, strict=True)]
             step, response = {"step": {"band": options.band, "runs": objects}}, step_response.describe(shown, steps, options.band)
+    unstable = [run.controller.name for run in shown if run.prediction.radius > 1]
     end = float(time[-1 if samples[1] is None else samples[1] - 1])
     results = [_result(options, each, (start, None if samples[1] is None else end)) for each in driven]
     result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
@@ -150,7 +151,7 @@ def drive(
     ]
     if options.json:
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": standings_object(standings), **written(outputs), "logs": paths}
+        last = {"compared": standings_object(standings), "unstable": unstable, **written(outputs), "logs": paths}
         print_json(result | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
@@ -168,11 +169,14 @@ def drive(
             about += f"; -v prints norms{', expected ride' if rides and road.spectrum else ''} and signals"
         lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
-        say([*lines, "", *text_lines(Document("", verdicts(shown)))])
+        lines += ["", *text_lines(Document("", verdicts(shown)))]
+        if unstable and not options.allow_unstable:
+            lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]
+        say(lines)
     for one in logs:
         comparison.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
-    return 0 if done and all(run.passed for run in runs) else 1
+    return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 
 
 def read_vehicles(options: Namespace) -> dict[str, Vehicle]:

@@ -67,6 +67,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="do not write log files")
+    parser.add_argument("--allow-unstable", action="store_true", help="exit code 0 although a closed loop is unstable")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(
         "--open", action="store_true", help="open the recording in a window of Rerun, which stays open after the command"

@@ -212,7 +212,11 @@ def verdict(run: RunResult) -> Statement:
         words.append("NOTHING WAS COMPARED with the model")
     if not words:
         linear = f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
+        if run.prediction.is_linear and agreement.until <= 0:
+            linear = f"nothing is compared with linear analysis, which applies {_when(run)}"
         words += ["MuJoCo agrees with the model", linear]
+    if commands is not None and not commands.repeatable:
+        words.append("no command is compared, because the control law is not repeatable")
     if agreement.coarse or (energy is not None and not energy.judged):
         words.append(COARSE)
     if energy is not None:
@@ -465,6 +469,11 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     from sim.runs.dampers import shortfalls
 
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.adjustable}, list[str](), 0.0
+    delayed = ["delay"] * bool(run.vehicle.implementation.delay)
+    delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
+    if delayed:
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)}"
+        texts.append(f"{acts} on the damping coefficient, not on the force, which follows the present suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:

@@ -87,8 +87,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
     """Designs or checks the controllers, with everything that the options request."""
-    designer, stage = Designer(vehicle), Stages(*(f"controller {name}" for name in names), FREE)
+    stages = ["saved claims"] if options.check else [f"controller {name}" for name in names]
+    designer, stage = Designer(vehicle), Stages(*stages, FREE)
     if options.check:
+        stage(stages[0])
         from synth.command.check import check
 
         rows = check(designer, options.controller)
