@@ -42,6 +42,9 @@ def parser() -> Parser:
     parser.add_number(
         "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
     )
+    parser.add_number(
+        "--settle", None, "s", "beginning of a random road that is not measured", "until all controllers have settled"
+    )
     add_run_options(parser, 20.0)
     return parser
 

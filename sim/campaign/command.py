@@ -96,6 +96,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         result = {
             "results": str(store.results),
             "runs": plan.count,
+            "settle": campaign.settle,
             "new": progress.done,
             "damaged": store.damaged,
             "summary": entries,
@@ -116,7 +117,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
         lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95th percentile, prediction"]
     lines += written_lines(outputs)
-    lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
+    lines += compared_lines(campaign, standings, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
     lines += [f"saved as controller {saved}"] if saved is not None else []
     say(lines)

@@ -124,10 +124,12 @@ def drive(
         from sim.studies.ride import run_metrics, step_response
 
         pairs = [(run.vehicle, run.controller) for run in runs]
-        samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
+        samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep, options.settle)
         start, words = float(time[samples[0]]), run_metrics.measured_words(time, samples)
         words += run_metrics.end_words(road, options.duration)
         driven = [replace(each, metrics=[run_metrics.measure_run(run, *samples) for run in each.runs]) for each in driven]
+        if road.spectrum and options.settle is None:
+            words += run_metrics.start_reason(pairs, start, options.duration)
         step = {"step": None}
         if step_response.step_of(road):
             steps = [step_response.measure_step(run, options.band) for run in runs]
@@ -163,8 +165,7 @@ def drive(
         lines += _above(options, driven, start, end)
         if response.blocks and not options.brief:
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
-        settled = ", when all controllers have settled" if rides and road.spectrum and start < options.duration / 2 else ""
-        about = f"MuJoCo, {words}{settled}"
+        about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += f"; -v prints norms{', expected ride' if rides and road.spectrum else ''} and signals"
         lines += ["", *standing_lines(standings, about)]

@@ -138,7 +138,7 @@ class RunMetrics(Shown):
 
 
 def measured_samples(
-    driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float
+    driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float, settle: float | None = None
 ) -> tuple[int, int | None]:
     """Returns the first sample that is measured, and the one after the last; None for the end of the run.
 
@@ -152,16 +152,37 @@ def measured_samples(
         driven: every vehicle with each of its controllers.
         duration: duration of the run [s].
         timestep: timestep of the run [s].
+        settle: time at which measuring begins on a random road [s]; None for the rule above.
+
+    Raises:
+        InputError: `settle` is longer than half of the run, or the road is not random.
     """
+    if settle is not None and (road.spectrum is None or not 0 <= settle <= duration / 2):
+        allowed = f"0 to {duration / 2:g} s, half of the run" if road.spectrum is not None else "it only for a random road"
+        raise InputError(f"--settle {settle:g} s is not allowed; give {allowed}")
     if road.spectrum is not None:
-        times = [settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for vehicle, one in driven]
-        return round(min(max(times), duration / 2) / timestep), None
+        slowest = max(time for _, time in settling_times(driven))
+        return round((min(slowest, duration / 2) if settle is None else settle) / timestep), None
     if road.loaded or road.points is not None or not math.isfinite(road.duration):
         return 0, None
     vehicles = {id(vehicle): vehicle for vehicle, _ in driven}.values()
     settled = road.duration + max(max(delays(road, one)) + passive_settling_time(one) for one in vehicles)
     first = round(min(*road.kinks, duration / 2) / timestep)
     return first, round(settled / timestep) + 1 if settled < duration else None
+
+
+def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
+    """Returns the name and the settling time [s] of each controller; infinite for a law in Python, whose transient is unknown."""
+    return [(one.name, settling_time(car, one) if isinstance(one, Controller) else math.inf) for car, one in driven]
+
+
+def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
+    """Returns the reason for which measuring begins at a time [s] on a random road, for a sentence."""
+    last, slowest = max(settling_times(driven), key=lambda one: one[1])
+    if start >= duration / 2 and slowest > start:
+        return f", half of the run, as {as_name(last)} settles later"
+    names = {one.name for _, one in driven}
+    return ", when all controllers have settled" + (f" ({as_name(last)} last)" if len(names) > 1 else "")
 
 
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
