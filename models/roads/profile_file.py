@@ -22,7 +22,7 @@ from models.common.quantities import UNREAD, Heading, check_unit_options, left_o
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
 from models.roads.load_choice import setting
 from models.roads.profile import Profile, check_points
-from models.roads.profile_path import check_same_road, check_tracks, coordinates, in_degrees, path_of
+from models.roads.profile_path import check_tracks, coordinates, in_degrees, other_length, path_of
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
@@ -99,7 +99,7 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
         distance, heights, lines, note = distance[moved], heights[moved], np.array(lines)[moved], [said, *note]
     else:
         distance = points[:, 0] * headings[used[0]].scale("distance", "distance_unit", unit, "m")
-        check_same_road(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
+        note += other_length(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
     if len(used) == 3 and not any(headings[i].name for i in used):
         if table.separator == "," and not given.keys() & {"separator", "columns"}:
             _check_commas(table)

@@ -15,15 +15,16 @@ from models.common.quantities import Heading, columns_in_words
 from models.common.table import NumberTable
 from models.common.units import unit_size
 
-DEGREES = ("longitude lon lng long längengrad länge", "latitude lat breitengrad breite")
+DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
 PLANES = (  # words of coordinates to the east and to the north; a path has one column of each
-    ("easting east rechtswert ostwert rw ost", "northing north hochwert nordwert hw nord"), ("e", "n"), ("x", "y"), DEGREES,
+    ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
+    ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip
 HEIGHTS = {"height", "left", "right"}
 AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: m, and a ratio
 BLOCK = 5.0  # m of a path, over which positions are averaged
 NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: to be remarked, and to be refused
-DIFFERENT = 0.05  # relative difference of a distance from the path's length: the column is not the distance along the road
+DIFFERENT, OTHER = 0.05, 2.5  # relative difference of two lengths to be remarked, and ratio of them to be refused
 APART = 100.0  # m between the heights of two tracks
 SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and over the distance
 
@@ -113,8 +114,8 @@ def in_degrees(headings: Sequence[Heading]) -> bool:
     return any(one.words & {*DEGREES[1].split()} for one in headings)
 
 
-def check_same_road(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> None:
-    """Checks a column of distance next to coordinates, if these can be read: both give the length of the road.
+def other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
+    """Returns a remark if a column of distance differs from the path through coordinates next to it, which may not be readable.
 
     Args:
         headings: headings of the coordinates to the east and to the north; empty if there are none.
@@ -122,16 +123,20 @@ def check_same_road(table: NumberTable, headings: Sequence[Heading], distance: A
         ragged: see `NumberTable.numbers`.
 
     Raises:
-        InputError: the column is not the distance along the path.
+        InputError: they differ by more than projections of maps do, as numbers of stations do.
     """
-    length = float(np.ptp(distance))
+    own, length = float(np.ptp(distance)), 0.0
     with suppress(InputError):
-        length = float(path_of(table, headings, "", ragged)[0][-1]) if headings else length
-    if abs(length - np.ptp(distance)) > DIFFERENT * length:
-        raise InputError(
-            f"column {heading.column}, {quoted(heading.text)}, has a length of {np.ptp(distance):.6g} m, but the path through "
-            f"{columns_in_words(headings)} has {length:.6g} m; remove one, or choose distance and height, as in :columns=3,4"
-        )
+        length = float(path_of(table, headings, "", ragged)[0][-1]) if headings else 0.0
+    if not length or abs(length - own) <= DIFFERENT * own:
+        return []
+    found = (
+        f"column {heading.column} ({quoted(heading.text)}) is {own:.6g} m long, but the path through {columns_in_words(headings)}"
+    )
+    if max(own, length) > OTHER * min(own, length):
+        do = "remove one of them, or choose the columns of distance and height, as in :columns=3,4"
+        raise InputError(f"{found} is {length:.6g} m long; {do}")
+    return [f"{found} is {length:.6g} m long"]
 
 
 def check_tracks(distance: Array, heights: Array, first: int) -> None:
