@@ -12,6 +12,7 @@ over the test, the sum of F v over the sum of v^2 for samples at even times. A r
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import rough
 from models.suspension.curve import ForceCurve
 
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"  # in the phrase about a loop; the second for dampers
@@ -56,7 +57,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     widest, offset = int(half.argmax()), float(np.interp(0.0, grid, mean)) if at_rest else 0.0
     words = f"{LOOP}, hysteresis up to {round(half[widest], 1):g} N either way at {round(grid[widest], 4):g} {unit}"
     words += f", {round(offset, 1):g} N at rest subtracted" if abs(offset) > ROUNDING * np.abs(mean).max() else ""
-    words += f"; {ENERGY} {(force - offset) @ x / (x @ x):.4g} N s/m over the whole test" if at_rest else ""
+    words += f"; {ENERGY} {rough((force - offset) @ x / (x @ x))} N s/m over the whole test" if at_rest else ""
     return grid, mean - offset, words
 
 
@@ -67,7 +68,7 @@ def slope_words(curve: ForceCurve) -> str:
     i = int(np.searchsorted(curve.x, 0.0))
     low, high = (round(float(x), 5) for x in (curve.x[i - 1], curve.x[i + 1]))
     slope, unit = ("N s/m", "m/s") if ENERGY in curve.note else ("N/m", "m")
-    return f"; slope at rest {curve.slope:.4g} {slope}, of the mean of both branches between {low:g} and {high:g} {unit}"
+    return f"; slope at rest {rough(curve.slope)} {slope}, of the mean of both branches between {low:g} and {high:g} {unit}"
 
 
 def _binned(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:

@@ -1,8 +1,11 @@
 """Results of runs: physics, its prediction, and their comparison."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from models.common.arrays import Array
 from models.roads.road import Road
@@ -42,7 +45,7 @@ class RunResult:
     """Run of physics with its prediction.
 
     Attributes:
-        prediction: linear analysis of this vehicle, controller and road.
+        prediction: responses by analysis of this vehicle, controller and road.
         physics: the response in MuJoCo.
         agreement: physics against analysis.
         qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run without its energy balance.
@@ -82,13 +85,27 @@ class RunResult:
 
     @property
     def sampled(self) -> Response:
-        """Exact linear response of the sampled loop."""
+        """Exact response of the sampled loop: linear, except for characteristics."""
         return self.prediction.sampled
 
     @property
     def continuous(self) -> Response:
         """Exact linear response of the continuous closed loop."""
         return self.prediction.continuous
+
+    @cached_property
+    def line_errors(self) -> Mapping[str, float]:
+        """Largest difference of the linearisation at equilibrium from MuJoCo, over MuJoCo's peak, by signal.
+
+        It is measured until linear analysis ends otherwise, and empty for a vehicle without characteristics, or without a sampled
+        response.
+        """
+        if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
+            return {}
+        line, physics = (one.until(self.agreement.until) for one in (line, self.physics))
+        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable line
+            apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in self.agreement.signals}
+            return {name: one / (physics.scale(name) or 1.0) for name, one in apart.items()}
 
     @property
     def diverged(self) -> float:

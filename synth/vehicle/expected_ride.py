@@ -8,8 +8,8 @@ to the road under every wheel, e of the road to two independent white sources, a
     mean square = G_v integral of |W_k H e|^2 df.
 
 The loop is continuous, without limits, and gives every force; `sim.drive` computes the ride of the sampled-data loop. Straight
-lines replace curves of dampers and springs: those of statistical linearisation (`equivalent_line.py`), as the slope at rest is
-that of much smaller motions.
+lines replace curves of dampers and springs: not those at equilibrium, which are of much smaller motions, but those of
+statistical linearisation on this road (`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
+from synth.controller.equivalent_line import equivalent_line
 from synth.controller.open_loop import continuous, readings_of_road
-from synth.vehicle.equivalent_line import equivalent_line
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
 METHOD = "statistical linearisation"  # of a vehicle with curves

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.printed import percent
 from models.roads.road import Bump
 from models.suspension import LEAVES
 from models.suspension.curve import ForceCurve
@@ -24,6 +25,7 @@ from sim.inspect.log import read_log
 from sim.linear.nonlinear_elements import at_rest, at_rest_words, elements
 from sim.linear.sampled_response import taylor4
 from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
+from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from sim.studies.validity.regime_map import validity
@@ -260,6 +262,34 @@ def test_a_run_agrees_and_says_what_its_curves_did(kind, more):
         first = np.flatnonzero(np.max(list(worst.values()), axis=0) >= LEAVES)
         assert when == (time[first[0]] if len(first) else np.inf)
         assert np.isfinite(when)
+
+
+SURFACE = "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-900, -1500], [0, 0], [700, 1900]] }"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "curves"),
+    [("quarter_car", "I", BOTH), ("half_car", "passive", AXLES), ("quarter_car", "passive", {"suspension_damping": SURFACE})],
+)
+def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, name, curves):
+    """A run says how far its linearisation is off: as far as MuJoCo's run of the car with these lines."""
+    vehicle, time = with_curves(kind, **curves), sample_times(with_curves(kind, **curves), 0.4, 1e-3)
+    controller = design(vehicle, name)
+    (run,) = run_controllers(vehicle, [controller], ROAD, time)
+    straight = simulate([vehicle.linearised], [controller], [ROAD], time).response.run(0)
+    peaks = {signal: np.abs(run.physics[signal]).max() for signal in vehicle.linear_model.outputs}
+    apart = {signal: np.abs(run.physics[signal] - straight[signal]).max() / (peak or 1.0) for signal, peak in peaks.items()}
+    assert run.line_errors == pytest.approx(apart, abs=2e-3 if kind == "half_car" else 1e-5)  # geometry, RK4
+    worst = max(apart, key=apart.__getitem__)
+    assert apart[worst] > 0.1
+    line, off = run_object(run)["linearisation"], f"off by {percent(run.line_errors[worst])} of a peak"
+    assert line == {"error": run.line_errors[worst], "signal": worst, "over": "peak in MuJoCo"}
+    said = "the nonlinear response with the characteristics applies over the whole run; its linearisation at equilibrium is"
+    assert f"{said} {off}" in verdict(run).text
+    assert any(off in one.text and f"(worst: {worst})" in one.text for one in reasons(run))
+    (linear,) = run_controllers(read_vehicle(kind), [design(read_vehicle(kind), "passive")], ROAD, time)
+    assert "; linear analysis applies over the whole run; energy" in verdict(linear).text
+    assert not {"linearisation", "reference"} & {*run_object(linear)}
 
 
 def test_energy_tells_a_curve_that_nobody_wrote_down():

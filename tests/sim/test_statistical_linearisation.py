@@ -22,8 +22,8 @@ from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
 from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_object, line_words
+from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design
-from synth.vehicle.equivalent_line import averages
 from tests.support.analysed import simulate
 from tests.support.commands import once, prose
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves

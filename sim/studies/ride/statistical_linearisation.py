@@ -1,6 +1,6 @@
 """Statistical linearisation: the line that fits a curve best over a random road, and the remainder to second order.
 
-`synth/vehicle/equivalent_line.py` computes the line.
+`synth.controller.equivalent_line.py` computes the line.
 
 The remainder of a curve beyond its line is added to second order. It acts as noise, down to frequencies below those of the road.
 It excites most a slow mode that a controller leaves: without it, travel would be some 5 % too small.
@@ -51,8 +51,8 @@ from sim.linear.nonlinear_elements import Elements, elements
 from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
+from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 from synth.controller.open_loop import LoopModel, continuous
-from synth.vehicle.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 
 DEGREES = (2, 3, 4)  # of the Hermite polynomials included
 COUNT = 4096  # frequencies
