@@ -174,7 +174,7 @@ def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
 def at_the_door(function: F) -> F:
     """Returns a function that checks its arguments by their annotations before it is called.
 
-    It warns of the `doubts` of what it returns, or of each item of a list: remarks on a vehicle or a run, each once.
+    The function also warns of all remarks on the vehicle or the runs that it returns, each once.
     """
     signature = inspect.signature(function)
 

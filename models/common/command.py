@@ -93,7 +93,7 @@ class Parser(argparse.ArgumentParser):
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
                 self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
-        _said.clear()
+        _remarks.clear()
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join(["python", "-m", self.module, *args])
@@ -279,27 +279,27 @@ class _Flag(argparse.Action):
         setattr(namespace, self.dest, True)
 
 
-_said = list[str]()  # remarks of the running command
-
-
 def complain(message: str) -> None:
-    """Prints a message to stderr as one printable line, and keeps the message for `--json`."""
-    _said.append(one_line(message))
+    """Prints a message to stderr as one printable line."""
     show("")  # clears the progress
-    print(f"roadproof: {_said[-1]}", file=sys.stderr)
+    print(f"roadproof: {one_line(message)}", file=sys.stderr)
+
+
+_remarks = list[str]()  # of the running command, on its vehicles and roads
 
 
 def remarked(given: Any) -> Any:
-    """Returns a vehicle or a road, after its `doubts` are printed to stderr, each once in a command."""
+    """Returns a vehicle or a road after printing the remarks on it to stderr, each once in a command."""
     for doubt in given.doubts:
-        if one_line(doubt) not in _said:
+        if doubt not in _remarks:
+            _remarks.append(doubt)
             complain(doubt)
     return given
 
 
 def print_json(result: Mapping[str, Any]) -> None:
-    """Prints the result of a command as JSON, with the lines on stderr as `remarks`."""
-    print(json.dumps({**result, "remarks": _said}, allow_nan=False))
+    """Prints the result of a command as JSON, with the remarks on its vehicles and roads, if any, as `remarks`."""
+    print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
 
 
 def _page(text: str) -> str:

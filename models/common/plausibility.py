@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from models.common.printed import about, entry
+
 
 class Known(NamedTuple):
     """Quantity of a vehicle or a road, as a remark shows it: its name, value and unit."""
@@ -17,7 +19,12 @@ class Known(NamedTuple):
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.name} ({self.value:.5g} {self.unit})"
+        return f"{self.name} ({entry(self.value)} {self.unit})"
+
+    @property
+    def rough(self) -> str:
+        """The value with few digits."""
+        return about(self.value) if self.value < 100 else str(round(self.value))
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,7 @@ class Rule:
         of: names of the quantities, which are known at a place of the vehicle.
         odd: their values -> True if they are improbable.
         words: remark, with the quantities by name.
-        rank: rank of a rule on mass, stiffness and damping: a rule of a lower rank that remarks on them silences it. 0 for others.
+        rank: a rule is silent if another rule, whose rank is lower but not 0, has a remark.
     """
 
     of: str
@@ -42,8 +49,8 @@ KG, STIFFNESS, DAMPING = "check that masses are in kg", "check that stiffness is
 # The quantities of a rule belong to the same place: a suspension, a pair of axles, a sensor, a road.
 RULES = (
     Rule("times high low", lambda times, *_: times > 50,
-         "{high.name} is {times.value:.0f} times {low.name}; are both in {low.unit}?", 1),
-    Rule("frequency", lambda hertz: not 0.15 <= hertz <= 15, "the body's natural frequency is about {frequency.value:.2g} Hz; "
+         "{high.name} is {times.rough} times {low.name}; are both in {low.unit}?", 1),
+    Rule("frequency", lambda hertz: not 0.15 <= hertz <= 15, "the body's natural frequency is about {frequency.rough} Hz; "
          "check that sprung_mass is in kg and stiffness in N/m", 2),
     Rule("wheel body", lambda wheel, body: wheel > body, f"{{wheel}} is heavier than {{body}}; {KG}, and not swapped", 3),
     Rule("tyre spring", lambda tyre, spring: tyre < spring,
@@ -54,12 +61,12 @@ RULES = (
          "{front} is far above {rear}; check that front and rear are not swapped", 4),
     Rule("wheel body", lambda wheel, body: wheel < body / 500, f"{{wheel}} is light for {{body}}; {KG}", 4),
     Rule("squeeze", lambda squeeze: squeeze < 3e-5,
-         f"{{squeeze.name}} lets the tyre deflect by {{squeeze.value:.1g}} m at rest; {STIFFNESS}", 4),
+         f"{{squeeze.name}} lets the tyre deflect by {{squeeze.rough}} m at rest; {STIFFNESS}", 4),
     Rule("damping", lambda ratio: not 0.002 <= ratio <= 10,
-         f"the body's damping ratio is about {{damping.value:.2g}}; {DAMPING}", 4),
+         f"the body's damping ratio is about {{damping.rough}}; {DAMPING}", 4),
     Rule("adjustable", lambda ratio: not 0.01 <= ratio <= 30,
-         f"the body's damping ratio at c_max is about {{adjustable.value:.2g}}; {DAMPING}", 4),
-    Rule("tyre_damping", lambda ratio: ratio > 1, f"the tyre's damping ratio is about {{tyre_damping.value:.2g}}; {DAMPING}"),
+         f"the body's damping ratio at c_max is about {{adjustable.rough}}; {DAMPING}", 4),
+    Rule("tyre_damping", lambda ratio: ratio > 1, f"the tyre's damping ratio is about {{tyre_damping.rough}}; {DAMPING}"),
     Rule("stroke", lambda stroke: stroke > 2, "{stroke.name} is {stroke.value:g} m; check that its value is in m"),
     Rule("rebound bump static", lambda rebound, bump, static: rebound > 1.5 * max(bump, static),
          "{rebound} is longer than {bump} and {static}; check that bump and rebound are not swapped"),

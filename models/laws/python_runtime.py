@@ -150,9 +150,9 @@ class OwnLaw:
 
 
 def anew(function: Any) -> Any:
-    """Returns a copy of a function with its own closure, attributes, object and global variables, so that it starts anew.
+    """Returns a copy of a function with its own closure, attributes, object and global variables, as they are before the run.
 
-    A function with a method `reset` is returned itself, and so is one that cannot be copied.
+    A function with a method `reset` is returned itself, and so is a function that cannot be copied.
     """
     if function is None or callable(getattr(function, "reset", None)):
         return function

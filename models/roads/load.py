@@ -113,7 +113,7 @@ class Ramped(Load):
         for name, (smallest, largest) in limits.items():
             value = getattr(self, name)
             if not smallest <= value <= largest:  # NaN is in no range
-                allowed = number_range(smallest, largest, SETTINGS[name])
+                allowed = number_range(smallest, largest, SETTINGS[name].removeprefix("g"))
                 raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give {allowed}")
 
     @property

@@ -239,8 +239,8 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
     """Yields the quantities of a vehicle by place, with the names that `models.common.plausibility.RULES` has for them.
 
-    For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Of
-    dampers only linear ones count: `suspension_doubts` remarks on curves.
+    For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
+    dampers do not count: `suspension_doubts` remarks on them.
 
     Args:
         vehicle: the `Vehicle`, whose module imports this one.

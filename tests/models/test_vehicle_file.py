@@ -344,7 +344,7 @@ MISTAKES = {  # of the car: keys and values, and what the remark or the refusal 
     "suspension_stroke = { bump = 70, rebound = 0.09 }": "bump is 70 m", "stop_stiffness = 100": "in N/m",
     "suspension_stroke = { bump = 0.09, rebound = 0.7 }": "bump and rebound are not swapped",
     "actuator_force = 2": "actuator_force .* is small .* in N", "actuator_force = 2e6": "is large .* in N",
-    "actuator_bandwidth = 10": "1.5915 Hz.* rad/s", "sample_period = 5": "sample_period", "sample_period = 0.1|delay = 0": "in s",
+    "actuator_bandwidth = 10": "1.59155 Hz.* rad/s", "sample_period = 5": "sample_period", "sample_period = 0.1|delay = 0": "in s",
     "delay = 5": "delay times sample_period .0.025 s", "noise = { suspension_deflection = 1 }": "noise of .* in m",
     "quantisation = { sprung_acceleration = 50 }": "in m/s2",
 }  # fmt: skip
