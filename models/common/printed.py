@@ -118,7 +118,7 @@ def show(message: str) -> None:
         _show(message)
         _overwritten = threading.Event()
     if message:
-        threading.Thread(target=_count, args=(message, _overwritten), daemon=True).start()
+        threading.Thread(target=_count, args=(message, _overwritten), name="progress", daemon=True).start()
 
 
 def _count(message: str, overwritten: threading.Event) -> None:

@@ -26,8 +26,8 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
         raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
     if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
-            f"{where} the controller's name {quoted(name)} is not allowed; use letters, digits, '_' and '-', without '-' at the beginning, and "
-            f"at most {LONGEST_NAME} bytes of UTF-8"
+            f"{where} the controller's name {quoted(name)} is not allowed; use letters, digits, '_' and '-', without '-' at the "
+            f"beginning, and at most {LONGEST_NAME} bytes of UTF-8"
         )
 
 

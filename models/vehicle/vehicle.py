@@ -463,6 +463,17 @@ class Vehicle(Shown):
         laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
 
+    @property
+    def unladen(self) -> "Vehicle":
+        """The vehicle of its file without `[payload]`; itself if its file has no payload."""
+        from models.common.toml_edit import toml_value
+
+        data = parse_toml(self.text)
+        if not data.pop("payload", None):
+            return self
+        text = "\n".join(f"{key} = {toml_value(value)}" for key, value in data.items())
+        return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
+
     def text_for(self, path: Path) -> str:
         """Returns the text that a file needs to be this vehicle: laws in Python are named from its folder.
 
