@@ -11,13 +11,13 @@ The loop is continuous, without limits, and gives every force; `sim.drive` compu
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.quadrature import sample_band
 from models.common.threads import one_thread
-from models.kinds.signals import UNSPRUNG_ACCELERATION
 from models.laws.filter import WEIGHTINGS, Filter
 from models.roads.iso8608 import Iso8608
 from models.roads.road import track_width
@@ -31,19 +31,18 @@ WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
 @one_thread()
-def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the expected weighted rms acceleration at the vehicle's worst point on an average road [m/s2], or None.
+def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
+    """Returns the expected weighted rms acceleration at the worst of some points on an average road [m/s2], or None.
 
     It is None if the ideal loop is not stable, or no vertical acceleration of the body is a signal.
+
+    Args:
+        points: accelerations, by signal. Default: those with a person, or without a person all of the body.
     """
     cut = continuous(vehicle, controller)
     model = cut.model
     loop = model.A + model.B @ cut.G
-    rows = [
-        i
-        for i, name in enumerate(vehicle.linear_model.outputs)
-        if vehicle.kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
-    ]
+    rows = [model.outputs.index(name) for name in points or vehicle.ride_points.worst_of]
     poles = np.linalg.eigvals(loop)
     if not rows or not controller.certificate.stable:
         return None
