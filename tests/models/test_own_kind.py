@@ -135,6 +135,11 @@ def test_equations_that_do_not_work(folder, old, new, said):
             r"behind of .* fails \(Key",
         ),
         ("combined", "{'x': {'tyre_deflection': 1.0}}", "combined is 'x', which is unknown; give one of control_force, "),
+        (
+            "people",
+            "('tyre_deflection',)",
+            "a point in people is 'tyre_deflection', which is unknown; give one of sprung_acceleration",
+        ),
         ("suspended", "(Suspension('x', 'tyre'),)", "a suspension's deflection is 'x'"),
         ("suspended", "(Suspension('tyre_deflection', 'tyre', 'x'),)", "no input 'x', which is the force of a suspension"),
         ("suspended", "(Suspension('tyre_deflection', 'tyre', damping='x'),)", "damping is 'x', .* give one of mass, stiffness"),
