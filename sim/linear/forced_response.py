@@ -18,8 +18,8 @@ from sim.linear.sampled_response import (
     response_of,
     road_forcing,
     taylor4,
+    with_linear_sides,
 )
-from sim.response.jumps import with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag

@@ -45,10 +45,9 @@ from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import kept_signals
 from models.laws.linear import LinearLaw
-from models.roads.road import RoadInput, delays, under_wheels
+from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
-from sim.response.jumps import SAME_TIME, jumps_under_wheels, with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -490,6 +489,25 @@ def response_of(
     signals = vehicle.kind.signals
     stacked = np.stack([values[signal.name] for signal in signals], axis=-1)
     return Response(road.time, signals, stacked if steady is None else stacked + steady)
+
+
+def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
+    """Returns a linear response with its values on the other side of vertical edges.
+
+    Args:
+        response: a single run over the road.
+        of_heights: jump of every output per height of the road under every wheel, shape (p, r).
+        held: see `RoadInput.vertical_edges`.
+    """
+    if not road.road.jumps:
+        return response
+    wheels, outputs = road.vehicle.kind.wheels, road.vehicle.linear_model.outputs
+    rows = dict(zip(outputs, of_heights, strict=False)) | {
+        wheel.road_displacement: unit for wheel, unit in zip(wheels, np.eye(len(wheels)), strict=True)
+    }
+    jump = np.stack([rows.get(name, np.zeros(len(wheels))) for name in response.names])
+    sides = {k: response.values[k] + jump @ edge.change for k, edge in road.vertical_edges(held).items()}
+    return response.with_sides(sides)
 
 
 def largest_timestep(vehicle: Vehicle) -> float:

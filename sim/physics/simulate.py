@@ -23,7 +23,7 @@ from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
-from sim.response.jumps import Jumps, vertical_edges, with_sides
+from sim.response.jumps import Jumps
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import has_anti_windup
@@ -105,7 +105,7 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
     shares = shared(len(vehicles), 1 if any(one.serial for one in controllers) else threads or cores())
     edges = (0, len(time))
-    jumps = [vertical_edges(road) for road in once]
+    jumps = [road.vertical_edges() for road in once]
     sides = {k: now[k].copy() for one in jumps for k in one}
     for i, one in enumerate(jumps):
         for k, edge in one.items():
@@ -128,7 +128,7 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
         of_forces = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
         response = replace(response, before={name: response[name] - jump for name, jump in of_forces.items()})
     if block.others:
-        response = with_sides(response, {k: other.T for k, other in block.others.items()})
+        response = response.with_sides({k: other.T for k, other in block.others.items()})
     states = [kept_signals(range(1, one.states + 1)) for one in controllers]
     periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
     scales = [one.state_scale(period) for one, period in zip(controllers, periods, strict=True)]

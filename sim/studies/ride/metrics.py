@@ -36,7 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELERATION, Signal
+from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
@@ -115,7 +115,7 @@ class Points:
     """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: accelerations of the body.
+        accelerations: accelerations of the body, those of points with a person first.
         suspensions: deflections of the suspensions.
         tyres: deflections of the tyres.
         actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
@@ -131,9 +131,7 @@ def points(vehicle: Vehicle) -> Points:
     """Returns the points of a vehicle."""
     model, kind = vehicle.linear_model, vehicle.kind
     return Points(
-        accelerations=tuple(
-            name for name in model.outputs if kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
-        ),
+        accelerations=vehicle.ride_points.all,
         suspensions=tuple(one.deflection for one in kind.suspensions),
         tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
         actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
