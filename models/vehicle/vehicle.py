@@ -148,7 +148,7 @@ class Vehicle(Shown):
             if name not in known or weight < 0:
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {listing(known)}")
 
-    def with_parameters(self, **parameters: float) -> "Vehicle":
+    def with_parameters(self, **parameters: float | str) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
         Args:
