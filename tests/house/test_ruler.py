@@ -156,13 +156,22 @@ def test_keys_that_are_missing_or_new():
     assert [found[:2] for found in compare([OLD], [OLD, OLD])] == [("differs", "")]
 
 
+def test_numbers_that_rounding_moves():
+    """A number agrees within 100 times the effect of another rounding on it or its matrix; what is no number is then listed."""
+    shaken = changed(gain=[[1e4 + 1e-3, -1e-6]], verdict="off", count=4)
+    new = changed(gain=[[1e4, 0.09]], verdict="gone", count=5, norm=7.3)
+    kinds = {place: kind for kind, place, _ in compare(OLD, new, True, shaken)}
+    assert kinds == {".norm": "differs", ".verdict": "shaken", ".count": "shaken"}
+    assert [place for _, place, _ in compare(OLD, changed(gain=[[1e4, 0.2]]), True, shaken)] == [".gain.0.1"]
+
+
 @pytest.mark.parametrize(("allow", "code"), [("", 1), ("sim.bump * .norm\n", 0), ("sim.bump * .phase.*\n", 1)])
 def test_command(allow, code, tmp_path, capsys, monkeypatch):
     """The command fails for a planted difference, unless the list of allowed changes has it, and it names entries without use."""
     old, new = tmp_path / "old", tmp_path / "new"
     (tmp_path / "allow.txt").write_text(allow)
 
-    def answer(checkout: Path, folder: Path, line: str) -> Answer:
+    def answer(checkout: Path, folder: Path, line: str, shaken: bool = False) -> Answer:
         folder.mkdir(parents=True)
         planted = changed(norm=7.25 * (1 + 1e-10), more=1) if checkout == new else changed()
         return Answer(folder, [(0, planted)])
