@@ -66,17 +66,6 @@ LONG = 3  # differences of a list of numbers that are listed one by one
 Difference = tuple[str, str, str]  # `differs`, `new` or `shaken`, the place, and a text
 
 
-@dataclass(frozen=True)
-class Allowed:
-    """Entry of the list of allowed changes."""
-
-    command: str
-    place: str
-
-    def covers(self, command: str, place: str) -> bool:
-        return fnmatchcase(command, self.command) and fnmatchcase(place, self.place)
-
-
 def tolerance(place: str) -> tuple[float | None, float]:
     """The relative and the absolute tolerance of a number at a place; None if it is not compared."""
     return next((relative, absolute) for relative, absolute, there in TOLERANCES if re.search(there, place))
@@ -190,15 +179,17 @@ def channels(path: Path) -> dict[str, list[tuple[int, bytes, Any]]]:
     return found
 
 
-def signals(messages: Sequence[tuple[int, bytes, Any]]) -> dict[str, list[float]]:
-    """The numbers of messages, by field."""
+def signals(messages: Sequence[tuple[int, bytes, Any]]) -> dict[str, list[Any]]:
+    """The numbers and texts of messages, by field."""
     from mcap_protobuf.decoder import DecoderFactory
 
     decode = DecoderFactory().decoder_for("protobuf", messages[0][2])
     assert decode is not None
     every = [decode(data) for _, data, _ in messages]
     names = [one.name for one in every[0].DESCRIPTOR.fields]
-    return {name: [getattr(one, name) for one in every] for name in names if is_number(getattr(every[0], name))}
+    return {
+        name: [getattr(one, name) for one in every] for name in names if isinstance(getattr(every[0], name), int | float | str)
+    }
 
 
 def compare_logs(old: Path, new: Path, shaken: Path, within: bool) -> Iterator[Difference]:
@@ -209,7 +200,7 @@ def compare_logs(old: Path, new: Path, shaken: Path, within: bool) -> Iterator[D
         there = f"{place}.{topic.removeprefix('/')}"
         if topic not in b:
             yield "differs", there, "is missing"
-        elif [one[:2] for one in a[topic]] != [one[:2] for one in b[topic]] and not (within and topic == "/difference"):
+        elif [one[:2] for one in a[topic]] != [one[:2] for one in b[topic]] and not (within and topic.endswith("/difference")):
             again = again or (channels(shaken) if shaken != old else a)
             if [one[0] for one in a[topic]] != [one[0] for one in b[topic]]:
                 yield "differs", there, "has other times"
@@ -334,7 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     old, new = given.old.resolve(), given.new.resolve()
     lines = [line for line in lines_of(RULER / "commands.txt") if fnmatchcase(line, given.only)]
-    allowed = {Allowed(*line.rsplit(None, 1)): 0 for line in lines_of(given.allow)} if given.allow else {}
+    allowed = {tuple(line.rsplit(None, 1)): 0 for line in lines_of(given.allow)} if given.allow else {}
     unchanged = 0
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(2) as pool:
         jobs = []
@@ -348,7 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             reference = first.result()
             found: dict[str, dict[str, str]] = {kind: {} for kind in ("differs", "shaken", "allowed", "new")}
             for kind, place, text in every_difference(reference, second.result(), again.result(), given.within):
-                there = [one for one in allowed if kind == "differs" and one.covers(line, place)]
+                there = [one for one in allowed if kind == "differs" and all(map(fnmatchcase, (line, place), one))]
                 for one in there:
                     allowed[one] += 1
                 found["allowed" if there else kind][place] = text
@@ -364,9 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for text in texts[:LISTED] + rest:
                     print(f"    {'' if what == 'differs' else what + ' '}{text}", flush=True)
             shutil.rmtree(reference.folder.parent)
-    unused = [f"{one.command} {one.place}" for one, count in allowed.items() if not count]
-    for text in unused:
-        print(f"UNUSED  {text}")
+    print(*(f"UNUSED  {' '.join(one)}\n" for one, count in allowed.items() if not count), sep="", end="")
     print(f"{unchanged} of {len(lines)} lines are the same {'within their tolerances' if given.within else 'to the last bit'}")
     return int(unchanged < len(lines))
 
