@@ -342,10 +342,11 @@ def settled(
 ) -> dict[str, "ForceCurve"]:
     """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
 
-    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one.
+    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one. A motion ratio
+    over travel stays about the equilibrium, as in a file with the new parameters.
     """
     settled = dict(curves)
-    if kind.ratios or not any(curve.at_rest for curve in curves.values()):
+    if not any(curve.at_rest for curve in curves.values()):
         return settled
     loads, now = static_loads(kind, before), static_loads(kind, parameters)
     for name, curve in curves.items():

@@ -189,7 +189,8 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
         "Phase and delay have no limit if no eigenvalue of the loop transfer function L has magnitude 1 at any frequency. "
         f"A gain has no limit if the loop is stable up to factor {LARGEST_FACTOR:g}.",
-        f"Other vehicles: {varied_text(vehicle.kind)}. Nothing is proved between the vehicles that were computed.",
+        f"Other vehicles: {found[0].box.text if found[0].box else varied_text(vehicle.kind)}. "
+        "Nothing is proved between the vehicles that were computed.",
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
