@@ -335,7 +335,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     """Returns how often tyres leave the ground, the first such interval, and the longest time."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
-    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
+    return f"lift-off: a tyre leaves the ground {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:

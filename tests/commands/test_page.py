@@ -432,3 +432,20 @@ def test_gains_are_matrices(designer):
     assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
     assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
     assert gain_table(vehicle, designer.design("passive")) is None
+
+
+@pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "svg"])
+def test_a_backend_of_another_environment(backend, tmp_path):
+    """A picture is drawn whatever MPLBACKEND names; a backend that exists stays that of the caller's own figures."""
+    code = (
+        "import pathlib, models.document.picture as picture\n"
+        f"from models.document.figure import Figure, Panel\npicture.write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', ()),)), "
+        f"pathlib.Path({str(tmp_path / 'a.png')!r}))\nimport matplotlib, os\n"
+        f"assert os.environ['MPLBACKEND'] == {backend!r}\nprint(matplotlib.rcParams['backend'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment() | {"MPLBACKEND": backend}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert backend != "svg" or done.stdout.strip() == "svg"
