@@ -344,8 +344,8 @@ def test_what_changed_since_a_certificate_is_named(recorded, tmp_path, capsys):
     text = text if recorded else re.sub(r"\nvehicle = .*", "", text)
     cases = {
         "payload 100 kg": text + "\n[payload]\nmass = 100.0\n",
-        "sprung_mass 550 instead of 504.5 kg": text.replace("sprung_mass = 504.5", "sprung_mass = 550.0"),
-        "[performance] tyre_deflection 0.4 instead of 0.2": text.replace("tyre_deflection = 0.2", "tyre_deflection = 0.4"),
+        "sprung_mass 550 instead of 504.5 kg": text.replace("sprung_mass = 504.5", "sprung_mass = 550.0", 1),
+        "[performance] tyre_deflection 0.4 instead of 0.2": text.replace("tyre_deflection = 0.2", "tyre_deflection = 0.4", 1),
     }
     for change, changed in [*cases.items()][: 3 if recorded else 1]:
         (tmp_path / "changed.toml").write_text(changed)

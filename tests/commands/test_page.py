@@ -7,6 +7,8 @@ import hashlib
 import itertools
 import os
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 
@@ -25,7 +27,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
 from sim.response.regime import REGIME_ENDS
 from sim.studies.validity.report import NOTHING
-from tests.support.commands import ROOT
+from tests.support.commands import ROOT, environment
 from tests.support.reading import number
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")

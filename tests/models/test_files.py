@@ -221,7 +221,7 @@ def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch, capsys):
     (home / "hump.csv").write_text("0,0\n1,0.01\n2,0\n")
     (home / "push.csv").write_text("time [s],heave [N]\n0,0\n1,10\n")
     text = re.sub("suspension_damping = .*", "", read_vehicle("quarter_car").text)
-    (home / "my car.toml").write_text(text + '[curves]\nsuspension_damping = "~/damper.csv"\n')
+    (home / "my car.toml").write_text(text + '[curves]\nsuspension_damping = { file = "~/damper.csv" }\n')
     assert read_vehicle("~/my car.toml").parameters["suspension_damping"] == pytest.approx(500.0)
     drive = ["--vehicle", "~/my car.toml", "--controller", "passive", "--duration", "0.1", "--speed", "10", "--no-logs"]
     assert main_of("sim.drive")([*drive, "--road", "~/hump.csv", "--load", "~/push.csv", "--csv", "~/run 1.csv"]) == 0

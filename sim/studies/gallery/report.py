@@ -52,9 +52,7 @@ def summary(results: Sequence[Result]) -> Document:
     text += f", and {differ} differ{'s' * (differ == 1)} for a known reason" * bool(differ)
     text += f"; {_numbers(wrong)} {WRONG}." if wrong else "."
     more = [f"Not expressible in a vehicle file: {missing}."] if missing else []
-    more += (
-        [f"Numbers from data or a formula of the source, in brackets: {derived}; the others are published."] if derived else []
-    )
+    more += [f"{_numbers(derived)} from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
     if {entry.name for entry, _ in results} == {*names()}:
         more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
