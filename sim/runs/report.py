@@ -473,8 +473,8 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
     if delayed:
-        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)}"
-        texts.append(f"{acts} on the damping coefficient, not on the force, which follows the present suspension velocity")
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on the damping coefficient"
+        texts.append(f"{acts}, not on the force, which follows the present suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:

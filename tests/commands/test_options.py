@@ -56,7 +56,12 @@ def nothing_designed(monkeypatch):
     monkeypatch.setattr(Designer, "design", begun)
 
 
+QUOTES = "put quotes around a value that contains spaces, as in"
 REFUSED = [
+    ("sim.drive --controller I --speed 90 km/h", "unrecognized argument 'km/h'", f"{QUOTES} --speed '90 km/h'"),
+    ("sim.drive --controller I --road bump:height=60 mm", f"{QUOTES} --road 'bump:height=60 mm'"),
+    ("sim.bump --controller I II", "or repeat --controller for several values"),
+    ("sim.new my car.toml", f"{QUOTES} 'my car.toml'"),
     ("sim.bump --controller all --controller I", "all includes every controller"),
     ("sim.bump --controller I --controller II --controller I", "--controller I is given twice"),
     ("sim.bump --controller I --no-logs --logs x", "--logs: not allowed with argument --no-logs"),
@@ -210,20 +215,3 @@ def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, 
     with pytest.raises(AssertionError, match="the work was begun"):
         main_of(name)([*COMMANDS[name], option, "out" if option in FOLDERS else plain])
     assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize(
-    ("line", "advice"),
-    [
-        ("sim.drive --controller I --speed 90 km/h --no-logs", "as in --speed '90 km/h'"),
-        ("sim.bump --controller I --height 60 mm", "as in --height '60 mm'"),
-        ("sim.drive --controller I --road bump:height=60 mm", "as in --road 'bump:height=60 mm'"),
-        ("sim.bump --controller I II", "or repeat --controller for several values"),
-        ("sim.new my car.toml", "as in 'my car.toml'"),
-    ],
-)
-def test_a_value_with_a_space_needs_quotes(line, advice):
-    """A number apart from its unit, or a name that a shell splits, is one line that shows how to write the value."""
-    name, *arguments = line.split()
-    with refused("unrecognized argument", "put quotes around a value that contains spaces", advice):
-        main_of(name)(arguments)

@@ -439,15 +439,11 @@ def test_gains_are_matrices(designer):
 @pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "svg"])
 def test_a_backend_of_another_environment(backend, tmp_path):
     """A picture is drawn whatever MPLBACKEND names; a backend that exists stays that of the caller's own figures."""
-    code = (
-        "import pathlib, models.document.picture as picture\n"
-        f"from models.document.figure import Figure, Panel\npicture.write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', ()),)), "
-        f"pathlib.Path({str(tmp_path / 'a.png')!r}))\nimport matplotlib, os\n"
-        f"assert os.environ['MPLBACKEND'] == {backend!r}\nprint(matplotlib.rcParams['backend'])\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=environment() | {"MPLBACKEND": backend}, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    code = "import pathlib; from models.document.figure import *; from models.document.picture import write_picture\n"
+    code += f"write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', ()),)), pathlib.Path({str(tmp_path / 'a.png')!r}))\n"
+    code += "import matplotlib, os; print(os.environ['MPLBACKEND'], matplotlib.rcParams['backend'])"
+    words, own = [sys.executable, "-c", code], environment() | {"MPLBACKEND": backend}
+    printed = subprocess.run(words, cwd=ROOT, env=own, capture_output=True, text=True, check=True).stdout.split()
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert backend != "svg" or done.stdout.strip() == "svg"
+    assert printed[0] == backend
+    assert backend != "svg" or printed[1] == "svg"
