@@ -286,7 +286,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
         **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
         **{side: (f"the {side} stroke", stop.stroke, "m") for side, (_, stop) in (stops.sides if stops else {}).items()},
         damping=("", _ratio(c, critical), ""),
-        adjustable=("", _ratio(r**2 * damper.c_max if damper else 0.0, critical), ""),
+        adjustable=("", _ratio(r**2 * damper.c_max if damper and damper.pair is None else 0.0, critical), ""),
         tyre_damping=("", _ratio(tyre_damper, hop), ""),
         ratio=(part.ratio, vehicle.parameters.get(part.ratio), ""),
         body=("the body on it", load / GRAVITY, "kg"),
