@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
         return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
-    def parse_known_args(self, args=None, namespace=None):
+    def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the options and the arguments that are none; refuses a value with a space that has no quotes."""
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
