@@ -492,11 +492,13 @@ class RoadInput:
         vehicle: r wheels, and a body that l loads push.
         road: the road.
         time: equidistant sample times [s], shape (T,).
+        earlier: True to repeat a run of an earlier version, whose signals at a sample were under the load of the step from there.
     """
 
     vehicle: Vehicle
     road: Road
     time: Array
+    earlier: bool = False
 
     @property
     def timestep(self) -> float:
@@ -586,6 +588,17 @@ class RoadInput:
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
         return np.hstack([self.held_loads, self.held_velocities])
+
+    @cached_property
+    def in_signals(self) -> Array:
+        """What acts in the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
+        return self.held if self.earlier else np.hstack([self.loads, self.held[:, self.loads.shape[1] :]])
+
+    @cached_property
+    def in_readings(self) -> Array:
+        """What acts in the measurements, before new forces: the loads at the samples, and velocities held until then."""
+        before = np.concatenate([np.zeros_like(self.held[:1]), self.held[:-1]])
+        return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
     def vertical_edges(self, held: bool = True) -> dict[int, Edge]:
         """Returns the vertical edges of the road, by sample.

@@ -5,7 +5,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at `RoadInput.midway`: its height midway through the
   step, and of a measured road the mean height over the step;
 - signals are read with the road's height at the sample;
-- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals at its start are under that load;
+- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals are read with the load there;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
@@ -111,7 +111,18 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
         for k, edge in one.items():
             sides[k][i] += edge.change
     held = held_on(inputs)
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held, beyond_edges=sides)
+    course = BatchInputs(
+        vehicles,
+        controllers,
+        now,
+        midway,
+        timestep,
+        edges,
+        beyond=beyond,
+        held=held,
+        beyond_edges=sides,
+        effects=effects_on(inputs),
+    )
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -173,6 +184,13 @@ def held_on(inputs: Sequence[RoadInput]) -> Array | None:
     return np.stack([road.held for road in inputs], axis=1) if any(road.pushed for road in inputs) else None
 
 
+def effects_on(inputs: Sequence[RoadInput]) -> tuple[Array, Array] | None:
+    """Returns `RoadInput.in_signals` and `RoadInput.in_readings` of all runs, each as `held_on`; None without loads."""
+    if not any(road.loaded for road in inputs):
+        return None
+    return np.stack([road.in_signals for road in inputs], axis=1), np.stack([road.in_readings for road in inputs], axis=1)
+
+
 class MonitoredBatch:
     """N runs from rest over a road each, whose divergence and end of the linear regime are detected block by block.
 
@@ -180,7 +198,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
-        held: see `BatchInputs`.
+        held, effects: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
@@ -199,7 +217,7 @@ class MonitoredBatch:
             if isinstance(road.felt, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
-        self.held = held_on(inputs)
+        self.held, self.effects = held_on(inputs), effects_on(inputs)
         self.velocities: Array | None = None
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
             self.velocities = np.stack([road.velocities for road in inputs], axis=2)
@@ -237,6 +255,7 @@ class MonitoredBatch:
             beyond=self.beyond,
             failures=self.failures,
             held=self.held,
+            effects=self.effects,
         )
         for block in in_blocks(course):
             self.ran_away |= block.ran_away & np.isinf(self.diverged)
