@@ -229,7 +229,7 @@ def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tup
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
-    """Returns True for each trial whose linear response over the bump MuJoCo confirms; vehicles that read out alike run in one batch."""
+    """Returns True for each trial whose linear response over the bump MuJoCo confirms; those that read out alike run together."""
     controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
     predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, inputs, strict=True)]
     alike: dict[bytes, list[int]] = {}  # curves have other numbers of straight lines on other vehicles
