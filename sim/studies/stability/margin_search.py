@@ -273,9 +273,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         predicted,
         *_gain_margins(prompt, controller, actuators, predicted, timestep, derivative),
         delay=StabilityEdge(derivative(timestep), delayed, late, LONGEST, timestep),
-        sample_period=StabilityEdge(
-            derivative(timestep), sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep
-        ),
+        sample_period=StabilityEdge(derivative(timestep), sampled_at, period, LONGEST, timestep),
         timestep=timestep,
         predicted_delay=predicted.delay,
     )
