@@ -125,6 +125,7 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
     Raises:
         InputError: a loop is unstable, or the controller has no gain.
     """
+    from sim.linear.sampled_response import taylor4
     from synth.controller.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
     from synth.controller.report import sign_note
@@ -141,13 +142,13 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
             f"{name} tolerates neither delay nor sampling: its measurements immediately contain {times:.4g} times its own force, "
             "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
         )
-    radius = LoopModel(vehicle, controller, timestep).radius
+    radius = LoopModel(vehicle, controller, timestep, taylor4).radius
     if radius >= 1:
         raise InputError(
             f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
             f"{radius:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
         )
-    if LoopModel(built, controller, timestep).radius >= 1:
+    if LoopModel(built, controller, timestep, taylor4).radius >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
         raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")
 

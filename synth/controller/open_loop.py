@@ -13,7 +13,7 @@ force acts: y = C x + D u, with the previous u, which is a state too.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
@@ -272,6 +272,11 @@ class LoopModel:
         return sampled_growth(self.closed_loop.transition) ** (1 / self.steps)
 
 
+def _step_by_step(exponential: Callable[[Array], Array], steps: int, M: Array) -> Array:
+    """Returns the exponential of a matrix by that of every step."""
+    return np.linalg.matrix_power(exponential(M / steps), steps)
+
+
 def _implemented(cut: OpenLoop, how: Implementation, timestep: float, exponential: Callable[[Array], Array]) -> SampledClosedLoop:
     intervals = steps_held(how, timestep)
     n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
@@ -287,7 +292,8 @@ def _implemented(cut: OpenLoop, how: Implementation, timestep: float, exponentia
     transition, added = np.zeros((size, size)), np.zeros((size, m + k))
     transition[:n] = np.eye(n, size)
     for part in parts:
-        Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, exponential, cut.model.B)
+        over = exponential if exponential is linalg.expm else partial(_step_by_step, exponential, part.steps)
+        Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, over, cut.model.B)
         transition[:n] = Phi @ transition[:n] + Gamma @ part.inputs
         added[:n] = Phi @ added[:n] + Gamma @ part.feedthrough
     if rest:

@@ -17,8 +17,10 @@ from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate
 from sim.physics.surface_steps import SurfaceBatch
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
+from sim.studies.frequency.sweep import failures, sweep
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter, measure
+from sim.studies.stability.robustness import _with_factors, read_variations, robustness
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
 from tests.support.commands import attacks, main_of, prose
@@ -490,6 +492,25 @@ def test_a_payload_over_travel(kind):
         bump, other = (one.stops[part.deflection].bump.stroke for one in (laden, empty))
         assert bump == pytest.approx(other + rest, rel=1e-9)
     assert driven(laden, "hybrid", "bump:height=0.05", 0.2).passed
+
+
+def test_other_vehicles_over_travel():
+    """At the corners of the box a spring has other numbers of straight lines, and MuJoCo agrees there."""
+    vehicle = over_travel("quarter_car", "dampers").with_ideal_actuators
+    corners = [_with_factors(vehicle, read_variations(vehicle, ()), factors) for factors in ((0.7, 0.75), (1.4, 1.25))]
+    assert len({reads_out(one, 4e-3) for one in corners}) == 2
+    (box,) = robustness(vehicle, [Designer(vehicle).design("held")], 4e-3)
+    assert box is not None
+    assert box.holds
+
+
+@pytest.mark.slow
+def test_a_sweep_over_travel():
+    """A ratio bends the response to a road of 0.1 mm by more than the error that is allowed; on a lower road MuJoCo agrees."""
+    vehicle = over_travel("quarter_car", "dampers")
+    (one,) = sweep(vehicle, [Designer(vehicle).design("passive")], 1e-4, 4e-3, 12.5)
+    assert one.small is not None
+    assert not failures(one)
 
 
 def test_springs_of_one_parameter_over_travel():

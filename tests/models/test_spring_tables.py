@@ -6,14 +6,19 @@ import re
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.optimize import brentq
 
+from models.laws.goals import Goals
 from models.roads.road import Bump
+from models.vehicle.controllers import ControllerEntry
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.campaign.samples import with_sample
 from sim.inspect.__main__ import main as inspect
+from sim.studies.stability.robustness import _with_factors, read_variations
 from synth.vehicle.designer import design
+from synth.vehicle.multi_objective import family_of
 from tests.support.analysed import simulate
 from tests.support.commands import prose, refused
 
@@ -273,18 +278,28 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
         read_with(tmp_path, OF_FILE, a=SPRING)
 
 
+@pytest.mark.parametrize("turning", [False, True], ids=["at the wheel", "at a ratio over travel"])
 @pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
-def test_a_preloaded_spring_follows_the_mass(tmp_path, kind):
-    """A sampled or changed mass has the spring of a file with that mass; a load beyond its table is refused."""
+def test_a_preloaded_spring_follows_the_mass(tmp_path, kind, turning):
+    """A sampled, varied or changed mass, and that of a family, has the spring of a file with that mass, at the load at rest."""
     axles = [""] if kind == "quarter_car" else ["_front", "_rear"]
     more = "[curves]\n" + "".join(f'suspension_stiffness{end} = {{ file = "a.csv", preload = true }}\n' for end in axles)
-    spring = SPRING.replace("200;4,5\n250;6,2\n", "200;5,5\n250;8,9\n") if kind == "quarter_car" else SPRING
+    ratio, turn = (0.75, -0.3) if turning else (1.0, 0.0)
+    table = "{ deflection = [-0.1, 0.0, 0.1], ratio = [0.78, 0.75, 0.72] }"
+    more += "".join(f"motion_ratio{end} = {table}\n" for end in axles) * turning
+    spring = SPRING.replace("200;4,5\n250;6,2\n", "200;5,5\n250;8,9\n") if kind == "quarter_car" or turning else SPRING
     vehicle = read_with(tmp_path, more, kind, a=spring)
     mass = vehicle.parameters["sprung_mass"]
     (tmp_path / "mine.toml").write_text(vehicle.text.replace(f"sprung_mass = {mass}", f"sprung_mass = {1.1 * mass!r}"))
     heavy = read_vehicle(tmp_path / "mine.toml")
     assert heavy.parameters["sprung_mass"] == 1.1 * mass
-    for changed in (vehicle.with_parameters(sprung_mass=1.1 * mass), with_sample(vehicle, {"sprung_mass": 1.1 * mass})):
+    varied = read_variations(vehicle, ["sprung_mass:0.9:1.1"])
+    for changed in (
+        vehicle.with_parameters(sprung_mass=1.1 * mass),
+        with_sample(vehicle, {"sprung_mass": 1.1 * mass}),
+        _with_factors(vehicle, varied, [1.1]),
+        *family_of(vehicle, ControllerEntry("own", ()), Goals(family=({"sprung_mass": 1.1},))),
+    ):
         x = np.linspace(-0.04, 0.04, 33)
         for name, curve in heavy.curves.items():
             assert changed.parameters[name] == pytest.approx(heavy.parameters[name], rel=1e-12)
@@ -292,9 +307,28 @@ def test_a_preloaded_spring_follows_the_mass(tmp_path, kind):
         np.testing.assert_allclose(changed.linear_model.A, heavy.linear_model.A, rtol=1e-12)
         assert not changed.doubts
     assert any(heavy.parameters[name] != vehicle.parameters[name] for name in heavy.curves)
+    squeeze, push = np.loadtxt(spring.replace(",", ".").splitlines()[1:], delimiter=";").T * [[1e-3], [1e3]]
+    arms = {end: heavy.parameters.get(f"axle_distance{end}", 0.5) for end in axles}
+    for end in axles:
+        other = sum(arm for name, arm in arms.items() if name != end) / sum(arms.values()) if end else 1.0
+        load = heavy.parameters["sprung_mass"] * 9.81 * other / (2 if kind == "full_car" else 1) / ratio
+        rest = brentq(lambda at, load=load: np.interp(at, squeeze, push) - load, 0.0, squeeze[-1])
+        rate = np.diff(np.interp([rest - 1e-6, rest + 1e-6], squeeze, push))[0] / 2e-6
+        at_wheel = changed.kind.at_wheels(changed.parameters)[f"suspension_stiffness{end}"]
+        assert at_wheel == pytest.approx(ratio**2 * rate - turn * load, rel=1e-6)
     assert dict(vehicle.with_parameters(**{f"tyre_stiffness{axles[0]}": 2e5}).curves) == dict(vehicle.curves)
     with refused("extend the table"):
         vehicle.with_parameters(sprung_mass=9.0 * mass)
+    with refused("--vary reaches an invalid vehicle: [curves]"):
+        read_variations(vehicle, ["sprung_mass:1:9"])
+
+
+def test_other_vehicles_stay_within_the_table(tmp_path):
+    """The usual range of masses is halved until a preloaded spring carries them: -15 to +20 % for a table to +25 %."""
+    more = '[curves]\nsuspension_stiffness = { file = "a.csv", preload = true }\n'
+    vehicle = read_with(tmp_path, more, a=SPRING.replace("250;6,2", f"250;{1.25 * 504.5 * 9.81e-3:.6f}".replace(".", ",")))
+    (mass, _) = read_variations(vehicle, ())
+    assert (mass.smallest, mass.largest) == (0.85, 1.2)
 
 
 @pytest.mark.parametrize("first", [0, 1], ids=["with time", "without time"])

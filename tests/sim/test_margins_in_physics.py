@@ -230,3 +230,30 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     assert found.edge.finer.searched
     assert found.edge.found == pytest.approx(found.edge.own, rel=2e-2)  # second order in the step
     assert found.agrees
+
+
+@pytest.mark.parametrize(
+    ("measured", "gain", "bandwidth", "timestep", "steps"),
+    [
+        *(
+            (("suspension_deflection", "sprung_velocity"), (13100 / own, -1500.0), None, 4e-3, steps)
+            for own, steps in ((290.0, 3), (400.0, 3), (9000.0, 3), (math.inf, 2))
+        ),
+        (("suspension_deflection",), (-2000.0,), 300.0, 8e-3, 3),  # the lag's share has higher powers of the step
+        (("sprung_velocity",), (-3000.0,), 60.0, 16e-3, 3),
+    ],
+)
+def test_a_margin_beyond_that_of_sampling(paper, measured, gain, bandwidth, timestep, steps):
+    """Sampling alone is unstable from 168 times the gain on; finer steps show that the spring is cancelled at 290 to 9000."""
+    vehicle = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=bandwidth))
+    controller = certify_given(vehicle, "own", measured, static_law(np.array([gain])))
+    margin = searches(vehicle, controller, [0], timestep).gain
+    if bandwidth is None:
+        assert margin.own == pytest.approx(13100 / gain[0] if gain[0] else math.inf, rel=1e-6)
+    for one in margin.searches:
+        one.search()
+    assert margin.search.found == pytest.approx(margin.sampled[0], rel=5e-3)
+    assert margin.search.found < margin.own
+    assert len(margin.searches) == steps
+    assert margin.agrees
+    assert margin.found == pytest.approx(margin.own, rel=5e-2 if bandwidth else 2e-3)

@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.checks import Positive
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
@@ -268,20 +267,13 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         return Trial(on, controller) if predicted.all_sampled else Trial(on, *loop)
 
     prompt = replace(vehicle, implementation=Implementation())
-
-    @cache
-    def sampled(timestep: float) -> list[float]:
-        return sampled_gain_crossings(*LoopModel(prompt, controller, timestep, taylor4).cut(actuators))
-
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
         predicted,
-        *_gain_margins(vehicle, controller, mine, predicted, timestep, derivative, sampled),
+        *_gain_margins(prompt, controller, actuators, predicted, timestep, derivative),
         delay=StabilityEdge(derivative(timestep), delayed, late, LONGEST, timestep),
-        sample_period=StabilityEdge(
-            derivative(timestep), sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep
-        ),
+        sample_period=StabilityEdge(derivative(timestep), sampled_at, period, LONGEST, timestep),
         timestep=timestep,
         predicted_delay=predicted.delay,
     )
@@ -309,10 +301,9 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     late = math.inf  # the hold is not delayed as a phase is: near half the sample rate, that is not the same
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
-    factors = [factor for factor in (predicted.gain, predicted.gain_lower) if 0 < factor < math.inf]
     return LoopMargins(
         predicted,
-        *_gain_margins(loop.vehicle, controller, mine, predicted, timestep, derivative, lambda _: factors),
+        *_gain_margins(loop.vehicle, controller, actuators, predicted, timestep, derivative),
         delay=StabilityEdge(derivative(timestep), later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
         sample_period=StabilityEdge(derivative(timestep), later, math.inf, 0.0),
         timestep=timestep,
@@ -323,18 +314,21 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
 def _gain_margins(
     vehicle: Vehicle,
     controller: Controller,
-    mine: Array,
+    actuators: Sequence[int],
     predicted: Margins,
     timestep: float,
     derivative: Callable[[float], StepDerivative],
-    sampled: Callable[[float], Sequence[float]],
 ) -> Iterator[GainMargin]:
     """Yields the gain margin of some forces and the lower one.
 
     Args:
         derivative: timestep -> derivative of MuJoCo's step.
-        sampled: timestep -> factors at which the sampled loop changes between stable and unstable.
     """
+    mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
+
+    @cache
+    def sampled(timestep: float) -> list[float]:
+        return sampled_gain_crossings(*LoopModel(vehicle, controller, timestep, taylor4).cut(actuators))
 
     def with_gain(factor: float) -> Trial:
         return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
