@@ -586,12 +586,12 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """What acts in the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
+        """Loads in the signals of the samples: those there, and the road's velocities as held; shape as of `held`."""
         return self.held if self.earlier else np.hstack([self.loads, self.held[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """What acts in the measurements, before new forces: the loads at the samples, and velocities held until then."""
+        """Loads in the measurements, before new forces: those at the samples, and velocities held until then."""
         before = np.concatenate([np.zeros_like(self.held[:1]), self.held[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
