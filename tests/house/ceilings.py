@@ -44,7 +44,7 @@ semi-active dampers and laws                                   1292    860    14
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3039   2453     75
+curves of dampers and springs, statistical linearisation       3039   2508     76
     models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
     sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
@@ -103,7 +103,7 @@ plant algebra, filters, any plant                              2254   1808    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3342    621    152
+synth command, controller record, designer                     3348    621    152
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
@@ -121,7 +121,7 @@ campaigns                                                      2499   1549    16
 gallery of papers                                               769    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2595    890     74
+margins in physics                                             2590    917     75
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1867    554     37
