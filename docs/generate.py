@@ -24,6 +24,7 @@ import numpy as np
 import models
 import sim
 import synth
+from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
@@ -40,9 +41,9 @@ from models.roads.rig import Rig
 from models.roads.road import Bump
 from models.suspension import STOP_KEYS, STOP_NAMES, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
-from models.vehicle import payload
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
-from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits
+from models.vehicle.limits_and_implementation import LIMITS, ImplementationSection, Limits
+from models.vehicle.payload import Payload
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
@@ -189,16 +190,14 @@ def shown_in(key: str) -> str:
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:3])
 
 
-PAYLOAD = {
-    "mass": "point mass on the body",
-    "x": "position of the point mass, forward of the unladen body's centre of mass",
-    "z": "height of the point mass above the unladen body's centre of mass",
-}
+def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
+    """Returns the keys of a section with their units and meanings."""
+    return [(name, key.unit, key.meaning) for name, key in schema.keys(section).items()]
 
 
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
-    own, entry, goals = attributes(Implementation), attributes(ControllerEntry), attributes(Goals)
+    entry, goals = attributes(ControllerEntry), attributes(Goals)
     limits, stops = {one.name: one for one in LIMITS}, attributes(Limits)
     laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
     sections = {
@@ -218,16 +217,13 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     ]
     sections["[limits]"] = [(key, "", stops.get(key, f"the same as `{STOP_KEYS[1]}`")) for key in STOP_NAMES]
     sections["[limits]"] += [*((key, one.unit, one.meaning) for key, one in limits.items()), ("limit", "", stops["limit"])]
-    sections["[implementation]"] = [
-        (key, "", own.get(key, "design for the sampled-data loop, unless a controller's section sets another value"))
-        for key in IMPLEMENTATION_KEYS
-    ]
+    sections["[implementation]"] = section_keys(ImplementationSection)
     sections["[curves]"] = [
         (key, "", "remark on the table, printed as a warning" if key == "note" else "")
         for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
     ]
     sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
-    sections["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
+    sections["[payload]"] = section_keys(Payload)
     sections["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
     return sections
 

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
-from models.common.checks import check_keys, table_within
-from models.common.errors import InputError, alike, listing, quoted
+from models.common.checks import is_finite
+from models.common.errors import InputError, listing, quoted
 from models.common.printed import about, rough
+from models.common.schema import HERE, SI, BySignal, Flag, Integer, Key, Section
+from models.common.units import in_unit
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS, STOP_NAMES
 
@@ -23,10 +25,12 @@ LIMITS = (
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
 
-IMPLEMENTATION_KEYS = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
 LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 50  # sample periods; each is a state of the sampled loop
-MOST_SEED = 100_000
+NO_PERIOD = (
+    "has sampled = true, but [implementation] gives no sample period; give it in seconds, as in sample_period = 0.01, or omit "
+    "sampled"
+)
 
 
 @dataclass(frozen=True)
@@ -158,24 +162,34 @@ def delay_text(delay: float) -> str:
 
 
 @dataclass(frozen=True)
-class Implementation:
-    """Implementation of the controller: sampling, delay, noise and quantisation.
+class Samples(Key):
+    """Delay in samples of the controller, as an int if it is an integer."""
 
-    Attributes:
-        sample_period: sample period of the controller [s], a multiple of the timestep; None for the timestep itself.
-        delay: delay from a measurement to the force computed from it, in samples of the controller; an int if it is an integer.
-        noise: rms of the white noise on a measured signal, by signal, in its unit.
-        quantisation: resolution of a measured signal, by signal, in its unit.
-        seed: seed of the noise.
-    """
+    meaning: str = "delay from a measurement to the force computed from it, in samples, or as a time"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> float:
+        """Returns the number of samples."""
+        if not is_finite(value) or not 0 <= value <= MOST_DELAY:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
+        return int(value) if value == int(value) else value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the delay."""
+        return SI("s", low=0, high=MOST_DELAY).json
+
+
+@dataclass(frozen=True)
+class Implementation(Section):
+    """Implementation of the controller: sampling, delay, noise and quantisation."""
 
     given_as = "an implementation, such as vehicle.implementation"
 
-    sample_period: float | None = None
-    delay: float = 0
-    noise: Mapping[str, float] = field(default_factory=dict)
-    quantisation: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
+    sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
+    delay: Annotated[float, Samples()] = 0
+    noise: Annotated[Mapping[str, float], BySignal("rms of the white noise on measured signals")] = field(default_factory=dict)
+    quantisation: Annotated[Mapping[str, float], BySignal("resolution of measured signals")] = field(default_factory=dict)
+    seed: Annotated[int, Integer("seed of the noise")] = 0
 
     @property
     def ideal(self) -> bool:
@@ -259,37 +273,35 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     return replace(limits, **given, limit=limit)
 
 
-def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:
-    """Reads `[implementation]`.
+@dataclass(frozen=True)
+class ImplementationSection(Implementation):
+    """`[implementation]` of a vehicle file."""
 
-    Args:
-        measurable: the signals that a controller of this vehicle can measure.
+    sampled: Annotated[bool, Flag("design for the sampled-data loop, unless a controller's section sets another value")] = False
 
-    Raises:
-        InputError: a key or signal is unknown, or a value is not allowed.
-    """
-    check_keys("[implementation]", section, IMPLEMENTATION_KEYS)
-    values_by_key: dict[str, Any] = {}
-    if "sample_period" in section:
-        period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
-        values_by_key["sample_period"] = period
-    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "integer")):
-        value = section.get(name, 0)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
-            raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
-        values_by_key[name] = int(value) if value == int(value) else value
-    for name in ("noise", "quantisation"):
-        values = table_within(f"[implementation] {name}", section.get(name, {}), f"a table, as in {name} = {{ signal = value }}")
-        for signal in values:
-            if signal not in measurable:
-                raise InputError(
-                    f"[implementation] {name}: unknown signal {quoted(signal)}; measurable are {alike(signal, measurable)}"
-                )
-        values_by_key[name] = {
-            signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
-            for signal, value in values.items()
-        }
-    return Implementation(**values_by_key)
+    def __post_init__(self) -> None:
+        if self.sampled and self.sample_period is None:
+            raise InputError(NO_PERIOD)
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the section with a delay in samples instead of a time."""
+        delay, period = given.get("delay"), given.get("sample_period")
+        seconds = in_unit(delay, "s", "delay")
+        if seconds is delay:
+            return given
+        period = in_unit(period, "s", "sample_period")
+        if not is_finite(period) or not period > 0:
+            raise InputError(
+                f"delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
+                'sample_period = "5 ms", or give delay as a number of samples'
+            )
+        return {**given, "delay": round(seconds / period, 9)}
+
+    @property
+    def implementation(self) -> Implementation:
+        """The implementation that it describes."""
+        return Implementation(*(getattr(self, one.name) for one in fields(Implementation)))
 
 
 SLOWEST_BODY, FASTEST_BODY = 0.15, 15.0  # Hz: between an airship's cabin and a model car

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from models.common.errors import InputError, quoted
 from models.common.units import in_unit
 from models.kinds.kind import VehicleKind
 from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
@@ -16,7 +15,6 @@ POINTS = {"velocity": "m/s", "deflection": "m", "compression": "m", "force": "N"
 CURVE = {**POINTS, "ratio": "1", "preload": "N", "friction": "N", "friction_velocity": "m/s"}
 LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
 DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
-PAYLOAD = {"mass": "kg", "x": "m", "z": "m"}
 SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
@@ -44,16 +42,11 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
         "limits": LIMITS,
-        "implementation": {"sample_period": "s", "noise": signals, "quantisation": signals},
         "curves": {parameter.name: {"": parameter.unit, **CURVE} for parameter in kind.parameters},
         "actuators": {**DAMPER, "*": DAMPER},
-        "payload": {**PAYLOAD, "*": PAYLOAD},
         "controllers": {"*": controller},
     }
-    converted = {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
-    if isinstance((implementation := converted.get("implementation")), dict):
-        converted["implementation"] = _with_delay(implementation)
-    return converted
+    return {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
 
 
 def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
@@ -72,17 +65,3 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
         return [_in_si(one, unit, path) for one, unit in zip(value, several, strict=False)]
     unit = units.get("") if isinstance(units, Mapping) else units[0] if isinstance(units, tuple) else units
     return value if unit is None else in_unit(value, unit, f"[{'.'.join(path[:-1])}] {path[-1]}")
-
-
-def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
-    """Returns `[implementation]` with a delay in samples instead of one with a unit of time."""
-    delay, period = section.get("delay"), section.get("sample_period")
-    seconds = in_unit(delay, "s", "[implementation] delay")
-    if seconds is delay:
-        return section
-    if isinstance(period, bool) or not isinstance(period, (int, float)) or not period > 0:
-        raise InputError(
-            f"[implementation] delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
-            'sample_period = "5 ms", or give delay as a number of samples'
-        )
-    return {**section, "delay": round(seconds / period, 9)}
