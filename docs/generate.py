@@ -47,8 +47,8 @@ from models.vehicle.payload import Payload
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
-from sim.campaign.file import KEYS as CAMPAIGN_KEYS
-from sim.campaign.file import Campaign
+from sim.campaign.file import CampaignFile
+from sim.campaign.samples import Samples
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -224,7 +224,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     ]
     sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
     sections["[payload]"] = section_keys(Payload)
-    sections["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
+    sections["a campaign file"] = section_keys(CampaignFile)
+    sections["[samples] of a campaign file"] = section_keys(Samples)
     return sections
 
 

@@ -22,7 +22,7 @@ from models.common.errors import InputError, alike, error_in, number_range, quot
 from models.common.units import in_unit
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
-HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key, and HERE.NAME by a key below
+HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key; ".NAME" after it is a key below
 PLACES = re.compile(HERE + r"(?:\.(\w+))?")
 
 
@@ -120,16 +120,19 @@ class Flag(Key):
 
 @dataclass(frozen=True)
 class Integer(Key):
-    """An integer of a range."""
+    """An integer of a range; `more` ends the message for another value."""
 
     meaning: str = ""
     low: int = 0
     high: int = 100_000
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> int:
         """Returns the integer."""
         if isinstance(value, bool) or not isinstance(value, int) or not self.low <= value <= self.high:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give an integer from {self.low} to {self.high}")
+            raise InputError(
+                f"{HERE} = {quoted(value)} is not allowed; give an integer from {self.low} to {self.high}{self.more}"
+            )
         return value
 
     @property
@@ -155,6 +158,72 @@ class Choice(Key):
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the text."""
         return {"enum": list(self.texts)}
+
+
+@dataclass(frozen=True)
+class Text(Key):
+    """A text."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> str:
+        """Returns the text."""
+        if not isinstance(value, str):
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a text."""
+        return {"type": "string"}
+
+
+@dataclass(frozen=True)
+class Listed(Key):
+    """A list with at least one value, each of which another key reads."""
+
+    meaning: str = ""
+    each: Key = Text()
+
+    @property
+    def unit(self) -> str:
+        """The unit of each value."""
+        return self.each.unit
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Returns the values."""
+        if not isinstance(value, list | tuple) or not value:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value")
+        items = []
+        for i, one in enumerate(value):
+            try:
+                items.append(self.each.read(one, context))
+            except InputError as error:
+                raise InputError(str(error).replace(HERE, f"{HERE}[{i}]")) from error
+        return tuple(items)
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the list."""
+        return {"type": "array", "items": dict(self.each.json), "minItems": 1}
+
+
+@dataclass(frozen=True)
+class Table(Key):
+    """A table whose keys are names, and whose values are read later, when more is known."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the table."""
+        if not isinstance(value, Mapping):
+            raise InputError(f"{HERE} = {quoted(value)} is not a table")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of any table."""
+        return {"type": "object"}
 
 
 @dataclass(frozen=True)
@@ -244,11 +313,12 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
     kind, loc, cause = error["type"], error["loc"], error.get("ctx", {}).get("error")
     if kind == "missing":
         key = keys(section)[loc[-1]]
-        return f"{where} {loc[-1]} is missing; give {loc[-1]}{f' [{key.unit}]' if key.unit else ''}: {key.meaning}"
+        unit = f" [{key.unit}]" if key.unit else ""
+        return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         if hint := section.hints.get(str(loc[-1])):
-            return f"{where} {loc[-1]} {hint}"
-        return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}"
+            return f"{where} {loc[-1]} {hint}".lstrip()
+        return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()
     path = [*_path(given, loc)]
     if not isinstance(cause, InputError):
         return f"{_place(where, path)} = {quoted(error['input'])} is not allowed; {error['msg']}"
@@ -258,6 +328,8 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
 
 def _place(where: str, path: Sequence[str]) -> str:
     """Returns the name of a key as in TOML, its tables in brackets."""
+    if not where:
+        return ".".join(path)
     return " ".join([f"{where[:-1]}.{'.'.join(path[:-1])}]" if path[1:] else where, *path[-1:]])
 
 
