@@ -39,10 +39,10 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Bump
-from models.suspension import STOP_KEYS, STOP_NAMES, damper
+from models.suspension import damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
-from models.vehicle.limits_and_implementation import LIMITS, ImplementationSection, Limits
+from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import Payload
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
@@ -198,7 +198,6 @@ def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
     entry, goals = attributes(ControllerEntry), attributes(Goals)
-    limits, stops = {one.name: one for one in LIMITS}, attributes(Limits)
     laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
     sections = {
         f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
@@ -215,8 +214,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
         for key in semi_active.KEYS
     ]
-    sections["[limits]"] = [(key, "", stops.get(key, f"the same as `{STOP_KEYS[1]}`")) for key in STOP_NAMES]
-    sections["[limits]"] += [*((key, one.unit, one.meaning) for key, one in limits.items()), ("limit", "", stops["limit"])]
+    sections["[limits]"] = section_keys(LimitsSection)
     sections["[implementation]"] = section_keys(ImplementationSection)
     sections["[curves]"] = [
         (key, "", "remark on the table, printed as a warning" if key == "note" else "")

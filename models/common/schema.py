@@ -151,7 +151,7 @@ class Choice(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if value not in self.texts:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give one of {', '.join(map(repr, self.texts))}")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}")
         return value
 
     @property
@@ -185,10 +185,8 @@ class Listed(Key):
     meaning: str = ""
     each: Key = Text()
 
-    @property
-    def unit(self) -> str:
-        """The unit of each value."""
-        return self.each.unit
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.each.unit)
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
         """Returns the values."""
@@ -249,6 +247,14 @@ class BySignal(Key):
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the table."""
         return {"type": "object", "additionalProperties": SI("of its signal", low=0.0).json}
+
+
+def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
+    """Returns a value of a table that is the value of a key; messages name the table, too."""
+    try:
+        return key.read(value, context)
+    except InputError as error:
+        raise InputError(str(error).replace(HERE, f"{HERE}.{name}", 1)) from error
 
 
 class Section:
@@ -317,7 +323,7 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
         return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         if hint := section.hints.get(str(loc[-1])):
-            return f"{where} {loc[-1]} {hint}".lstrip()
+            return f"{where} {quoted(loc[-1])} {hint}".lstrip()
         return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()
     path = [*_path(given, loc)]
     if not isinstance(cause, InputError):

@@ -6,21 +6,16 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, quoted
 from models.common.printed import about, rough
-from models.common.schema import HERE, SI, BySignal, Flag, Integer, Key, Section
+from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, Key, Section, read
 from models.common.units import in_unit
-from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS, STOP_NAMES
+from models.suspension.bump_stops import Place, StopSection, read_places
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Place, Stiffness, StopPair, Stops
-
-LIMITS = (
-    Parameter("actuator_force", "N", "largest force of every actuator, in both directions"),
-    Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator's first-order lag"),
-)
+    from models.suspension.bump_stops import Stiffness, StopPair, Stops
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
@@ -247,30 +242,38 @@ class Implementation(Section):
         return tuple(phrases)
 
 
+@dataclass(frozen=True)
+class LimitsSection(StopSection):
+    """`[limits]` of a vehicle file, without the sections of corners."""
+
+    actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
+    actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
+    limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.limit is not None and self.actuator_force is None:
+            raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
+
+
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
     """Reads `[limits]`.
 
     Raises:
         InputError: a key or section is unknown, a value is not allowed, or only one of stroke and stiffness is given.
     """
-    of_actuators = {parameter.name: parameter for parameter in LIMITS}
-    for name, value in section.items():
-        if name not in (*of_actuators, "limit", *STOP_NAMES) and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known keys: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
-    if (limit := section.get("limit")) is not None:
-        if limit not in ORDERS:
-            raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
-        if "actuator_force" not in section:
-            raise InputError(f"[limits] has limit = {limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
-    of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
-    limits = Limits()
-    if of_stops:
-        from models.suspension.bump_stops import read_places
-
-        common, *places = read_places(of_stops, [part.corner for part in suspensions])
-        limits = Limits(common.suspension_stroke, common.stop_stiffness, places=tuple(places))
-    given = {name: part.check(section[name]) for name, part in of_actuators.items() if name in section}
-    return replace(limits, **given, limit=limit)
+    own = {name: one for name, one in section.items() if isinstance(one, Mapping) and name not in STOP_NAMES}
+    common = read("[limits]", LimitsSection, {name: one for name, one in section.items() if name not in own})
+    places, corners = (common.place(""),), [part.corner for part in suspensions]
+    if own or places[0] != Place(""):
+        if not corners:
+            raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
+        places = read_places(common, own, corners)
+    of_all, *places = places
+    actuators = common.actuator_force, common.actuator_bandwidth, common.limit
+    return Limits(of_all.suspension_stroke, of_all.stop_stiffness, *actuators, tuple(places))
 
 
 @dataclass(frozen=True)

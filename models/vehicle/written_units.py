@@ -6,11 +6,8 @@ from typing import Any
 from models.common.units import in_unit
 from models.kinds.kind import VehicleKind
 from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
-from models.suspension import STOP
 
 # Of a table the unit of each key, "*" of all other keys, "" of a number in the table's place; of a list one unit, or one each.
-STOPS = {"suspension_stroke": "m", **dict.fromkeys(("stop_stiffness", STOP), ("N/m", "N/m2", "N/m3"))}
-LIMITS = {**STOPS, "actuator_force": "N", "actuator_bandwidth": "rad/s", "*": STOPS}
 POINTS = {"velocity": "m/s", "deflection": "m", "compression": "m", "force": "N", "fit_error": "1"}
 CURVE = {**POINTS, "ratio": "1", "preload": "N", "friction": "N", "friction_velocity": "m/s"}
 LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
@@ -41,7 +38,6 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     }  # fmt: skip
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
-        "limits": LIMITS,
         "curves": {parameter.name: {"": parameter.unit, **CURVE} for parameter in kind.parameters},
         "actuators": {**DAMPER, "*": DAMPER},
         "controllers": {"*": controller},
