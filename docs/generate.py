@@ -39,8 +39,8 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Bump
-from models.suspension import damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
+from models.suspension.damper import ActuatorSection
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import Payload
@@ -220,7 +220,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         (key, "", "remark on the table, printed as a warning" if key == "note" else "")
         for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
     ]
-    sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
+    sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(Payload)
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(Samples)

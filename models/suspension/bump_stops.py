@@ -23,14 +23,12 @@ from models.common.arrays import Array
 from models.common.checks import check_keys
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, read
-from models.common.units import in_unit
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
     from models.suspension.curve import ForceCurve, Pieces
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
-TABLE_UNITS = {"compression": "m", "deflection": "m", "force": "N", "fit_error": "1"}
 TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
@@ -360,14 +358,14 @@ def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, f
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
-    from models.suspension.curve_reading import DEFLECTION, points
+    from models.suspension.curve_reading import DEFLECTION, in_si, points
 
     check_keys("", value, TABLE_KEYS)
-    value = {key: _in_si(key, one) for key, one in value.items()}
     if "file" in value:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
         raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
+    value = in_si(value)
     x, force = points(value, DEFLECTION)
     x, force = -x[::-1], -force[::-1]
     if not force.any():
@@ -377,14 +375,6 @@ def _stop_table(value: Mapping[str, Any]) -> StopTable:
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
     _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
     return table
-
-
-def _in_si(key: str, value: Any) -> Any:
-    """Returns a value of a table with numbers in SI units; a log has tuples."""
-    unit = TABLE_UNITS.get(key)
-    if unit is None:
-        return value
-    return [in_unit(one, unit, key) for one in value] if isinstance(value, list | tuple) else in_unit(value, unit, key)
 
 
 @dataclass(frozen=True)

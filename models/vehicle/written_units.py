@@ -7,11 +7,6 @@ from models.common.units import in_unit
 from models.kinds.kind import VehicleKind
 from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
 
-# Of a table the unit of each key, "*" of all other keys, "" of a number in the table's place; of a list one unit, or one each.
-POINTS = {"velocity": "m/s", "deflection": "m", "compression": "m", "force": "N", "fit_error": "1"}
-CURVE = {**POINTS, "ratio": "1", "preload": "N", "friction": "N", "friction_velocity": "m/s"}
-LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
-DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
 SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
@@ -38,8 +33,6 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     }  # fmt: skip
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
-        "curves": {parameter.name: {"": parameter.unit, **CURVE} for parameter in kind.parameters},
-        "actuators": {**DAMPER, "*": DAMPER},
         "controllers": {"*": controller},
     }
     return {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
@@ -54,10 +47,9 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
     """
     units = units(value) if callable(units) and not isinstance(value, list) else units
     if isinstance(value, Mapping):
-        each = units if isinstance(units, Mapping) else {"*": units, **(POINTS if isinstance(units, tuple) else {})}
+        each = units if isinstance(units, Mapping) else {"*": units}
         return {key: _in_si(one, each.get(key, each.get("*")), (*path, key)) for key, one in value.items()}
     if isinstance(value, list):
-        several = units if isinstance(units, tuple) and len(units) >= len(value) else [units] * len(value)
-        return [_in_si(one, unit, path) for one, unit in zip(value, several, strict=False)]
-    unit = units.get("") if isinstance(units, Mapping) else units[0] if isinstance(units, tuple) else units
+        return [_in_si(one, units, path) for one in value]
+    unit = None if isinstance(units, Mapping) else units
     return value if unit is None else in_unit(value, unit, f"[{'.'.join(path[:-1])}] {path[-1]}")

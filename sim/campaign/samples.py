@@ -17,7 +17,7 @@ from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import SI, Choice, Integer, Section, Table, read
 from models.roads.iso8608 import MOST_SEED
 from models.suspension.adjustable_dampers import Adjustable
-from models.suspension.damper import CURVED, LARGEST
+from models.suspension.damper import CURVED
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values
@@ -137,7 +137,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
         if key in parameters:
             parameters[key].check(value)
         else:
-            SI("", low=0.0, high=LARGEST).number(key, value)
+            SI("", low=0.0).number(key, value)
 
     units = {key: parameter.unit for key, parameter in parameters.items()}
     samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)

@@ -134,7 +134,7 @@ def test_vehicle_file(text):
     for pair in PAIR.finditer(text):
         wrong = f'{text[: pair.start()]}"3 kg2"{text[pair.end() :]}'
         with pytest.raises(
-            InputError, match=r"^\[.*\] \w+(\[\d\])? = '3 kg2' has the unit 'kg2', but a (unit of .*|pure number) is expected"
+            InputError, match=r"^\[.*\] .*\w+(\[\d\])? = '3 kg2' has the unit 'kg2', but a (unit of .*|pure number) is expected"
         ):
             parse_vehicle(PAIR.sub(lambda other: other[2], wrong))
 
