@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
 
 EPILOG = """
-exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
-cannot be designed; 2 invalid input
+exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
+disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input
 
 examples:
   python -m sim.bump --controller I

@@ -11,8 +11,9 @@ from models.common.command import Parser
 from sim.command.road_options import add_loads, add_road, add_run_options, add_vehicles, requested_road
 
 EPILOG = """
-exit code: 0 MuJoCo and linear analysis agree for every controller, and the energy balances; 1 they disagree, or a controller
-cannot be designed; 2 invalid input. A run that diverges or fully compresses a tyre ends there, without metrics.
+exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
+disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input. A run that diverges
+or fully compresses a tyre ends there, without metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20
@@ -40,6 +41,9 @@ def parser() -> Parser:
     add_loads(parser, "load on the body; the road is flat if no road is given")
     parser.add_number(
         "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
+    )
+    parser.add_number(
+        "--settle", None, "s", "beginning of a random road that is not measured", "until all controllers have settled"
     )
     add_run_options(parser, 20.0)
     return parser

@@ -6,13 +6,12 @@ if __name__ == "__main__":
     run("sim.envelope")
 
 import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models import USUAL_TIMESTEP
-from models.common.command import Parser, one_chosen
+from models.common.command import Parser, one_chosen, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED, PLUS, named_files
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.text import text_lines
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, warn
+    from sim.command.comparison import log_lines, recorded, say_false_claims
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
     from sim.studies.validity.map_runs import loaded
@@ -83,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.validity.report import describe, envelope_object, write_csv
     from synth.vehicle.designer import Designer
 
-    given = read_vehicle(options.vehicle)
+    given = remarked(read_vehicle(options.vehicle))
     name = one_chosen(given.controller_names, options.controller)
     vehicle = given.driven_by(name)
     axes = read_axes(options.vary or [])
@@ -100,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("design", "map", "picture and logs")
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
-    warn(vehicle, [controller])
+    say_false_claims([controller])
     progress = stage.counted("map", len(bumps), "cells")
     cells = validity(vehicle, controller, bumps, time, progress, loads, options.every_cell, options.threshold)
     stage("picture and logs")
@@ -116,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = recorded(options, given, [controller.name], nearest, result)
     stage.end()
     if options.json:
-        print(json.dumps({**result, "logs": logs}, allow_nan=False))
+        print_json({**result, "logs": logs})
     else:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
         about = f"{vehicle.kind.name} with controller {controller.name}, over {len(bumps)} bumps{under}"

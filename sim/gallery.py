@@ -5,10 +5,9 @@ if __name__ == "__main__":
 
     run("sim.gallery")
 
-import json
 from collections.abc import Sequence
 
-from models.common.command import Parser
+from models.common.command import Parser, print_json
 from models.common.printed import Stages, say
 
 EPILOG = """
@@ -55,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage.end()
     whole = Document("", (*(describe(*each) for each in results), summary(results)))
     if options.json:
-        print(json.dumps(gallery_object(results), allow_nan=False))
+        print_json(gallery_object(results))
     else:
         say(text_lines(whole, "brief" if options.brief else "normal"))
     return 1 if whole.state == "fails" else 0

@@ -6,14 +6,13 @@ if __name__ == "__main__":
     run("sim.margins")
 
 import functools
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.common.command import Parser, one_chosen
+from models.common.command import Parser, one_chosen, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from sim.studies.stability import TIMESTEP
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.text import text_lines
     from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, warn
+    from sim.command.comparison import log_lines, recorded, say_false_claims
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
     from sim.studies.stability.margin_search import LONGEST
@@ -84,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.stability.study import stability_margins
     from synth.vehicle.designer import Designer
 
-    given = read_vehicle(options.vehicle)
+    given = remarked(read_vehicle(options.vehicle))
     name = one_chosen(given.controller_names, options.controller)
     as_built = given.driven_by(name)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
@@ -97,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controller = Designer(as_built, search=False).design(name)
     with_computer = replace(vehicle, implementation=as_built.implementation)
     _check_loop(vehicle, with_computer, controller, options.timestep)
-    warn(vehicle, [controller])
+    say_false_claims([controller])
     (found,) = stability_margins(as_built, [controller], options.timestep, stage, variations)
     stage("picture and logs")
     if options.picture is not None:
@@ -112,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = recorded(options, of_file, [controller.name], delayed, result)
     stage.end()
     if options.json:
-        print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
+        print_json({**result, **written(outputs), "logs": logs})
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += [*written_lines(outputs), *log_lines([logs]), ""]

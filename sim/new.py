@@ -5,11 +5,10 @@ if __name__ == "__main__":
 
     run("sim.new")
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.common.command import Parser
+from models.common.command import Parser, print_json
 from models.common.errors import InputError
 
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
@@ -52,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with whole_file(path, "vehicle file") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
     if options.json:
-        print(json.dumps({"file": str(path), "type": options.type}))
+        print_json({"file": str(path), "type": options.type})
         return 0
     name = pasted_path(path)
     print(f"wrote {name}; replace its numbers with those of your car, then run")

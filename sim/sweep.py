@@ -5,13 +5,12 @@ if __name__ == "__main__":
 
     run("sim.sweep")
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
-from models.common.command import Parser, chosen
+from models.common.command import Parser, chosen, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from sim.command.road_options import USUAL, add_exported, left_out_lines, omitted_controllers
@@ -60,13 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn
+    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, say_false_claims
     from sim.studies.frequency.describing_function import describing_function
     from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
-    given = read_vehicle(options.vehicle)
+    given = remarked(read_vehicle(options.vehicle))
     usual = [name for name in USUAL if name in given.controller_names]
     names = chosen(given.controller_names, options.controller, usual)
     vehicle = given.for_all(names)
@@ -82,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep), options.exported)
     driven = [one.name for one in controllers]
     how = options.amplitude, options.timestep, options.speed
-    warn(vehicle, controllers)
+    say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
@@ -105,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
     stage.end()
     if options.json:
-        print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
+        print_json({**result, **written(outputs), "logs": logs})
     else:
         from models.document.text import text_lines
         from sim.studies.frequency.report import describe, workshop

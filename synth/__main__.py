@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from models.common.command import ALL, chosen, complain
+from models.common.command import ALL, chosen, remarked
 from models.common.errors import InputError, listing
 from synth.command.options import parse_options
 
@@ -31,9 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from synth.command.export import check_folder
 
         return check_folder(options.check, options)
-    vehicle = read_vehicle(options.check or options.vehicle)
-    for doubt in vehicle.doubts:
-        complain(doubt)
+    vehicle = remarked(read_vehicle(options.check or options.vehicle))
     if options.export is not None:
         from synth.command.export import export
 

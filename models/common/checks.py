@@ -7,6 +7,7 @@
 import inspect
 import math
 import numbers
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -18,6 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
 from models.common.errors import InputError, listing, number_range, quoted
+from models.common.files import path_from
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -46,6 +48,12 @@ Index = Annotated[int, Must("an integer from 0 upwards", lambda value: value >= 
 Vector = Annotated[Array, Must("a list of finite numbers", lambda value: value.ndim == 1 and bool(np.isfinite(value).all()))]
 Matrix = Annotated[Array, Must("a matrix of finite numbers", lambda value: value.ndim == 2 and bool(np.isfinite(value).all()))]
 Name = Annotated[str, Must("letters, digits and '_', no digit first", str.isidentifier)]
+SETTINGS: Mapping[str, str] = {  # units of numbers of roads, loads, runs and laws, by name
+    **dict.fromkeys(["height", "length", "depth", "edge", "amplitude", "track_width", "x", "y", "from"], "m"),
+    **dict.fromkeys(["duration", "timestep", "start", "rise", "hold", "sample_period"], "s"),
+    **dict.fromkeys(["frequency", "lowest", "highest"], "Hz"),
+    **{"speed": "m/s", "phase": "deg", "mass": "kg", "force": "N", "g": "g", "iri": "m/km", "gd": "m3"},
+}
 WORDS: Mapping[Any, str] = {
     Any: "anything",
     Array: "an array of numbers",
@@ -59,13 +67,17 @@ WORDS: Mapping[Any, str] = {
 }
 
 
-def check(name: str, value: Any, annotation: Any) -> Any:
+def check(name: str, value: Any, annotation: Any, units: Mapping[str, str] = SETTINGS) -> Any:
     """Returns a value that fits its annotation. A list becomes the annotated array or tuple.
 
+    Args:
+        units: units by name, of numbers that may be a text with a unit: `height="60 mm"` is 0.06.
+
     Raises:
-        InputError: the value does not fit.
+        InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
     """
     check_unmasked(name, value)
+    value = value if annotation is str else as_number(value, units.get(name, ""), name)
     try:
         return _fit("", value, annotation)
     except _UnfitError as error:
@@ -73,15 +85,31 @@ def check(name: str, value: Any, annotation: Any) -> Any:
         raise InputError(f"{name}{place} = {quoted(part)} is not allowed; give {_words(allowed)}") from None
 
 
+def as_number(value: Any, unit: str, what: str) -> Any:
+    """Returns the number of a text with a number and its unit, in another unit; any other value, or without a unit, as it is.
+
+    Raises:
+        InputError: the number has no unit, an unknown one, or one of another dimension.
+    """
+    if not (unit and isinstance(value, str)):
+        return value
+    from models.common.units import in_unit
+
+    return in_unit(value, unit, what)
+
+
 def check_fields(value: Any) -> None:
     """Checks the fields of a dataclass, for `__post_init__`. Lists become the annotated arrays and tuples.
+
+    A class attribute `units` has the units of fields that differ from `SETTINGS`.
 
     Raises:
         InputError: a field does not fit its annotation.
     """
+    units = {**SETTINGS, **getattr(value, "units", {})}
     for field in fields(value):
         given = getattr(value, field.name)
-        fitting = check(field.name, given, field.type)
+        fitting = check(field.name, given, field.type, units)
         if fitting is not given:
             object.__setattr__(value, field.name, fitting)
 
@@ -102,9 +130,12 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
     """Returns a number from `smallest` to `largest` as a float. `what` names it in the message, and `more` ends that.
 
+    With a unit, a text such as "450 kg" is a number, too.
+
     Raises:
-        InputError: the value is not a number, or out of range.
+        InputError: the value is not a number, or out of range, or has a unit of another dimension.
     """
+    value = as_number(value, unit, what)
     if not is_finite(value) or not smallest <= value <= largest:
         raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
     return float(value)
@@ -141,7 +172,10 @@ def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
 
 
 def at_the_door(function: F) -> F:
-    """Returns a function that checks its arguments by their annotations before it is called."""
+    """Returns a function that checks its arguments by their annotations before it is called.
+
+    The function also warns of all remarks on the vehicle or the runs that it returns, each once.
+    """
     signature = inspect.signature(function)
 
     @wraps(function)
@@ -150,7 +184,11 @@ def at_the_door(function: F) -> F:
         for name, value in bound.arguments.items():
             if name not in ("self", "cls"):
                 bound.arguments[name] = check(name, value, signature.parameters[name].annotation)
-        return function(*bound.args, **bound.kwargs)
+        given = function(*bound.args, **bound.kwargs)
+        several = given if isinstance(given, list) else [given]
+        for doubt in dict.fromkeys(doubt for one in several for doubt in getattr(one, "doubts", ())):
+            warnings.warn(doubt, stacklevel=2)
+        return given
 
     return checked  # pyright: ignore[reportReturnType]
 
@@ -245,7 +283,7 @@ def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
         return value, is_finite(value) or (isinstance(value, float) and math.isinf(value))
     if wanted is int:
         return value, isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    value = Path(value) if wanted is Path and isinstance(value, str) else value
+    value = path_from(value) if wanted is Path and isinstance(value, str) else value
     return value, isinstance(value, wanted)
 
 

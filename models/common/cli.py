@@ -39,6 +39,7 @@ def run(command: str) -> "NoReturn":
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
             reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
         code = importlib.import_module(command).main()
+        importlib.import_module("models.common.printed").show("")  # no thread counts seconds any more
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:

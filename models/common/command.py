@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import json
 import math
 import re
 import shlex
@@ -9,7 +10,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from models.common.errors import TRACEBACK, InputError, listing, one_line
 from models.common.printed import WIDTH, command, show, wrapped
@@ -68,12 +69,31 @@ class Parser(argparse.ArgumentParser):
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
         return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
+    def parse_known_args(self, args=None, namespace=None):
+        """Returns the options and no other arguments.
+
+        Raises:
+            InputError: bad options, or a value with a space that has no quotes.
+        """
+        options, others = super().parse_known_args(args, namespace)
+        if args and others and not others[0].startswith("-"):
+            end = args.index(others[0]) + 1
+            first = max((i for i in range(end) if args[i].startswith("-")), default=-1)
+            option, value = "".join(args[first : first + 1] if first >= 0 else ()), shlex.quote(" ".join(args[first + 1 : end]))
+            advice = "put quotes around a value that contains spaces"
+            advice += f", as in {f'{option} {value}'.lstrip()}" if end > first + 2 else ""
+            if isinstance(self._option_string_actions.get(option), (argparse._AppendAction, _Vehicles)):
+                advice += f", or repeat {option} for several values"
+            self.error(f"unrecognized argument {others[0]!r}; {advice}")
+        return options, others
+
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
         args = sys.argv[1:] if args is None else args
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
                 self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
+        _remarks.clear()
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join(["python", "-m", self.module, *args])
@@ -265,6 +285,23 @@ def complain(message: str) -> None:
     print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
+_remarks = list[str]()  # of the running command, on its vehicles and roads
+
+
+def remarked(given: Any) -> Any:
+    """Returns a vehicle or a road after printing the remarks on it to stderr, each once in a command."""
+    for doubt in given.doubts:
+        if doubt not in _remarks:
+            _remarks.append(doubt)
+            complain(doubt)
+    return given
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Prints the result of a command as JSON, with the remarks on its vehicles and roads, if any, as `remarks`."""
+    print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
+
+
 def _page(text: str) -> str:
     """Returns a text of `--help` with its paragraphs wrapped; an example, which is indented, goes on after a backslash."""
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # lines of a paragraph
@@ -289,7 +326,9 @@ def _name(text: str) -> str:
 
 
 def _path(text: str) -> Path:
-    return Path(_text(text))
+    from models.common.files import path_from
+
+    return path_from(_text(text))
 
 
 def _number_in(unit: str) -> Callable[[str], float]:

@@ -32,7 +32,14 @@ def parse_toml(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         comma = re.search(r"^[\w.]+ *= *(-?\d+),(\d+) *(#.*)?$", text, re.MULTILINE)
         instead = f"; write {comma[1]}.{comma[2]} for {comma[1]},{comma[2]}" if comma else ""
+        if spaced := re.search(r"^ *\[?([A-Za-z][\w.-]*(?: +[\w.-]+)+) *[]=]", text, re.MULTILINE):
+            instead = f"; write {re.sub(' +', '_', spaced[1])} for {spaced[1]}"
         raise InputError(f"this is not valid TOML: {error}{instead}") from error
+
+
+def path_from(file: str | Path, folder: Path = Path()) -> Path:
+    """Returns the path of a file whose name is relative to a folder; a leading `~` stands for the user's home folder."""
+    return folder / os.path.expanduser(file)
 
 
 STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened

@@ -9,6 +9,8 @@ import re
 import shlex
 import sys
 import textwrap
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -102,10 +104,35 @@ def pasted_path(path: Path) -> str:
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
 
 
+LASTING = 3.0  # s after which a line of progress also shows its time
+_overwritten, _printing = threading.Event(), threading.Lock()
+
+
 def show(message: str) -> None:
-    """Prints a line to stderr that the next call overwrites; an empty one clears it."""
-    if sys.stderr and sys.stderr.isatty():
-        print(f"\r{message[:WIDEST]:{WIDEST}}\r", end="", file=sys.stderr, flush=True)
+    """Prints a line to stderr that the next call overwrites; an empty one clears it. A line that lasts counts its seconds."""
+    global _overwritten
+    if not sys.stderr or not sys.stderr.isatty():
+        return
+    with _printing:
+        _overwritten.set()
+        _show(message)
+        _overwritten = threading.Event()
+    if message:
+        threading.Thread(target=_count, args=(message, _overwritten), name="progress", daemon=True).start()
+
+
+def _count(message: str, overwritten: threading.Event) -> None:
+    """Prints a line of progress with its time again and again, until it is overwritten."""
+    start, pause = time.monotonic(), LASTING
+    while not overwritten.wait(pause):
+        pause = 1.0
+        with _printing:
+            if not overwritten.is_set():
+                _show(f"{message[: WIDEST - 10]} ({time.monotonic() - start:.0f} s)")
+
+
+def _show(message: str) -> None:
+    print(f"\r{message[:WIDEST]:{WIDEST}}\r", end="", file=sys.stderr, flush=True)
 
 
 class Stages:

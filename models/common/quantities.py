@@ -4,7 +4,7 @@ Road profiles, drive files of rigs, curves of dampers and springs, and loads ove
 """
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from models.common.errors import InputError, listing, quoted
@@ -32,11 +32,11 @@ class Quantity:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "distance": Quantity(LENGTH, "along the road", "dist x s u station chainage position pos"),
-    "height": Quantity(LENGTH, "up", "heights h z elevation elevations elev altitude profile"),
+    "distance": Quantity(LENGTH, "along the road", "dist x s u station chainage position pos strecke stationierung"),
+    "height": Quantity(LENGTH, "up", "heights h z elevation elevations elev ele altitude alt profile höhe höhen"),
     "left": Quantity(LENGTH, "up, under the left wheels", "l lwp"),
     "right": Quantity(LENGTH, "up, under the right wheels", "r rwp"),
-    "time": Quantity(TIME, "", "t"),
+    "time": Quantity(TIME, "", "t timestamp zeit temps"),
     "heave": Quantity(FORCE, "up"),
     "pitch": Quantity(MOMENT, "nose down"),
     "roll": Quantity(MOMENT, "right side down"),
@@ -47,7 +47,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 UNREAD = "another quantity"
 _WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and words that say nothing about a quantity
     UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
-    "": "wheel wheelpath path track road surface ground along the of in side vertical",
+    "": "wheel wheelpath path track road surface ground along the of in side vertical gps gnss point above sea level",
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
@@ -117,7 +117,8 @@ class Heading:
         if not given and self.unit and size is None:
             raise InputError(f"{column} has the unit {quoted(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):
-            raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}]{instead}")
+            name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # also of a variable in MATLAB
+            raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")
         return units[given or default] if given or size is None else size
 
 
@@ -133,7 +134,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     text = " ".join(text.split())
     if bracket := BRACKETS.search(text):
         is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
-        if Heading(name=bracket[1]).quantity and not is_unit:
+        if Heading(name=bracket[1]).quantity in QUANTITIES and not is_unit:
             return Heading(text, text, "", column)  # height (left)
         return Heading(text, text[: bracket.start()], _unit_of(bracket[1], units), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
@@ -141,6 +142,18 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
         if any(unit_size(_unit_of(written, units), unit) for unit in units):
             return Heading(text, text[: gap.start()], _unit_of(written, units), column)
     return Heading(text, text, "", column)
+
+
+def columns_in_words(headings: Sequence[Heading]) -> str:
+    """Returns columns by their numbers and headings, as in: columns 1 ('X') and 2 ('Y')."""
+    names = [f"{one.column} ({quoted(one.text)})" for one in headings]
+    return f"column{'s' * (len(names) > 1)} {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}"
+
+
+def left_out_words(headings: Sequence[Heading], used: Collection[int]) -> list[str]:
+    """Returns a remark on the named columns that are not used, by their numbers from 1; empty if all are used."""
+    left = [one for one in headings if one.text and one.column not in used]
+    return [f"{columns_in_words(left)} {'are' if len(left) > 1 else 'is'} left out"] if left else []
 
 
 def _unit_of(written: str, units: Collection[str]) -> str:

@@ -11,6 +11,7 @@ import math
 import re
 import warnings
 from array import array
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -21,13 +22,17 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.quantities import QUANTITIES, Heading, heading_of
+from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
+from models.common.units import unit_size
 
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
 COMMENT = re.compile(r"\s*(#|%|!|//)")
 THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000, or of thousands
 SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the word before it
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
+CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
+LONGEST_UNIT = 3  # characters of a unit that is unknown
+HALF_A_DAY = 43200.0  # s, after which clocks of 12 hours start again
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
 
 
@@ -74,17 +79,20 @@ class NumberTable:
         if not rows:
             raise InputError(f"no line above line {self.first + 1} has headings for its {self.count} column(s); {self.give}")
         headings = rows[-1]
-        if len(rows) > 1 and not any(heading.name for heading in headings):
+        if len(rows) > 1 and any(one.text and not one.name for one in headings) and all(map(_maybe_unit, headings)):
             for heading, below in zip(rows[-2], headings, strict=True):
                 if heading.unit and below.unit not in ("", heading.unit):
                     texts = f"{heading.text!r} and {below.text!r}"
                     raise InputError(f"the headings {texts} of column {heading.column} contradict each other; correct one")
-            headings = [replace(one, unit=one.unit or below.unit) for one, below in zip(rows[-2], headings, strict=True)]
+            units_below = [one.unit or one.name.lower() for one in headings]
+            headings = [replace(one, unit=one.unit or unit) for one, unit in zip(rows[-2], units_below, strict=True)]
+        readable = (one for one in headings if not one.unit or any(unit_size(one.unit, unit) for unit in units))
+        same = [one.quantity or one.name for one in readable]
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
                 raise InputError(f"{found}; put # before lines that are not headings, or {self.give}")
-            if not optional and [other.quantity or other.name for other in headings].count(heading.quantity or heading.name) > 1:
+            if not optional and same.count(heading.quantity or heading.name) > 1:
                 raise InputError(
                     f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns"
                 )
@@ -144,6 +152,23 @@ class NumberTable:
         if [*marked] == [","] and thousands and integers:
             raise InputError(f"{marked[',']}, which may be thousands; write numbers without thousands marks, decimals with a dot")
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
+
+    def seconds(self, heading: Heading) -> Array:
+        """Returns the times of a column [s], shape (rows,): numbers in its unit, or time stamps, of one day or the next.
+
+        Raises:
+            InputError: the unit is missing, or a cell is neither a number nor a time of day.
+        """
+        column, times = heading.column - 1, list[float]()
+        if _number(next(self.rows())[1][column]) is not None:
+            return self.numbers([column], ragged=True)[0][:, 0] * heading.scale("time")
+        for line, cells in self.rows():
+            stamp = CLOCK.search(" ".join(cells[column : column + 1]))
+            if stamp is None:
+                raise InputError(f"line {line}, column {column + 1}: this is not a time, such as 12:34:56.789; {self.give}")
+            hours, minutes, seconds = stamp.groups("0")
+            times.append(60 * (60 * int(hours) + int(minutes)) + float(seconds.replace(",", ".")))
+        return np.unwrap(times, period=HALF_A_DAY)
 
     def quantities(self, known: Sequence[str]) -> dict[str, Array]:
         """Returns all columns in SI units, by quantity.
@@ -248,14 +273,24 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for first, line in enumerate(lines):
-        numbers = _uncommented(line)
-        marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
-        splits = {mark: _trimmed(_cells(numbers, mark)) for mark in marks}
-        whole = [mark for mark in marks if None not in map(_number, splits[mark])]
-        cells = splits[mark := (whole or marks)[0]]
+        mark, cells = _split(line, separator)
         if column < len(cells) and _number(cells[column]) is not None:
             return NumberTable(lines, first, mark, len(cells), give)
+    # Without numbers in that column, as with time stamps, most lines of the table have their numbers in the same columns.
+    splits = [_split(line, separator) for line in lines]
+    kinds = [(mark, tuple(_number(cell) is None for cell in cells)) for mark, cells in splits]
+    for usual, _ in Counter(kind for kind in kinds if not all(kind[1])).most_common(1):
+        return NumberTable(lines, kinds.index(usual), usual[0], len(usual[1]), give)
     raise InputError(f"{'the file has no line of numbers' if text.strip() else 'the file is empty'}; {give}")
+
+
+def _split(line: str, separator: str) -> tuple[str, list[str]]:
+    """Returns the separator of a line, by default the detected one, and the cells without comments."""
+    numbers = _uncommented(line)
+    marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
+    splits = {mark: _trimmed(_cells(numbers, mark)) for mark in marks}
+    whole = [mark for mark in marks if None not in map(_number, splits[mark])]
+    return (mark := (whole or marks)[0]), splits[mark]
 
 
 def _number(cell: str) -> float | None:
@@ -264,6 +299,11 @@ def _number(cell: str) -> float | None:
         return float(cell if "." in cell else cell.replace(",", "."))
     except ValueError:
         return None
+
+
+def _maybe_unit(heading: Heading) -> bool:
+    """Returns True for a cell of a line of units: empty, a known unit, or as short as other units, such as V or bar."""
+    return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 
 def _uncommented(line: str) -> str:

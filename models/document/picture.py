@@ -3,10 +3,12 @@
 Lengths are in px. A px is 1/72 inch, so a font size in px is one in points.
 """
 
+import os
 import re
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -56,15 +58,34 @@ def check_drawing() -> None:
         InputError: matplotlib is not installed.
     """
     try:
-        import matplotlib  # noqa: F401
+        _matplotlib()
     except ImportError:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
 
 
+def _matplotlib() -> Any:
+    """Returns matplotlib. It cannot be imported if MPLBACKEND names a backend that is missing here, as of another environment.
+
+    Figures need no backend. A valid one is set for the windows of the caller's own figures, as the import does.
+    """
+    if "matplotlib" in sys.modules or "MPLBACKEND" not in os.environ:
+        import matplotlib
+
+        return matplotlib
+    backend = os.environ.pop("MPLBACKEND")
+    try:
+        import matplotlib
+
+        with suppress(ValueError):
+            matplotlib.rcParams["backend"] = backend or matplotlib.rcParamsDefault["backend"]
+    finally:
+        os.environ["MPLBACKEND"] = backend
+    return matplotlib
+
+
 @contextmanager
 def _settings() -> Iterator[None]:
-    import matplotlib
-
+    matplotlib = _matplotlib()
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
         # Letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
         warnings.simplefilter("ignore", UserWarning)

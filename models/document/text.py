@@ -1,5 +1,6 @@
 """Documents as text: lines of at most 80 columns for a terminal and a prompt, and Markdown."""
 
+import itertools
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from models.document.document import NOTE, Block, Detail, Document, Statement, T
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # lines of a heading, at most
 LONG = 10  # rows of a long table, whose columns are closer before its heading has a third line
-CHANGE = ", %"  # end of the heading of changes of the numbers in the column before
+CHANGE = " change [%]"  # end of the heading of changes of the numbers in the column before
 BEST = "*"  # after a number
 
 
@@ -58,7 +59,7 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
 
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
-    """Returns a table's lines for a terminal: headings wrap if there is no room, and a change follows its number.
+    """Returns a table's lines for a terminal: headings wrap if there is no room, and those of changes then are "%" alone.
 
     Rows with the same name follow it, indented, if they have further words. Remarks of a last column `NOTE` are right of the
     row, or below it.
@@ -71,11 +72,11 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     above = columns.pop(0)[1:] if several else ("",) * len(one.rows)
     words = one.words - several
     columns[0] = tuple(f"{GAP * several}{cell}" for cell in columns[0])
-    columns = [*columns[:words], *_with_changes(columns[words:])]
+    columns = [*columns[:words], *map(_aligned, columns[words:])]
     shown, widths = columns, list[int]()
     gap = GAP if len(one.rows) < LONG else " "
-    for most in range(1, HEADING + 1):
-        tops = [_heading(heading, most) for heading, *_ in columns]
+    for short, most in itertools.product((CHANGE.strip(), "%"), range(1, HEADING + 1)):
+        tops = [_heading(short if heading.endswith(CHANGE) else heading, most) for heading, *_ in columns]
         high = max(map(len, tops))
         shown = [[*[""] * (high - len(top)), *top, *cells] for top, (_, *cells) in zip(tops, columns, strict=True)]
         widths = [max(map(len, column)) for column in shown]
@@ -94,18 +95,11 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     return lines
 
 
-def _with_changes(columns: Iterable[Sequence[str]]) -> list[list[str]]:
-    """Returns columns of numbers: those with a mark of the best aligned, and each column of changes joined to the one before."""
-    merged: list[list[str]] = []
-    for heading, *numbers in columns:
-        marked = any(cell.endswith(BEST) for cell in numbers)
-        cells = [f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers]
-        if merged and heading.endswith(CHANGE):
-            width = max(map(len, cells), default=0)
-            before, *numbers = merged.pop()
-            heading, cells = f"{before} %", [f"{one} {change:>{width}}" for one, change in zip(numbers, cells, strict=True)]
-        merged.append([heading, *cells])
-    return merged
+def _aligned(column: Sequence[str]) -> list[str]:
+    """Returns a column of numbers that are aligned although some have a mark of the best."""
+    heading, *numbers = column
+    marked = any(cell.endswith(BEST) for cell in numbers)
+    return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
 
 
 def _heading(text: str, most: int) -> list[str]:

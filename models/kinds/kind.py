@@ -498,7 +498,7 @@ class VehicleKind(Checked):
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "
-                    "is allowed: lower the masses or raise the stiffness"
+                    "is allowed: check that masses are in kg and stiffness in N/m; lower the masses or raise the stiffness"
                 )
         return checked
 

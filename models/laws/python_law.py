@@ -217,7 +217,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
     if "fmu" in entry:
         fmu = entry["fmu"]
         named = isinstance(fmu, str) and FMU.fullmatch(fmu) is not None and not Path(fmu).is_absolute()
-        if not named or ".." in Path(fmu).parts:
+        if not named or fmu.startswith("~") or ".." in Path(fmu).parts:
             raise InputError(f"{where} fmu = {quoted(fmu)} is not an FMU; {GIVE_FMU}")
         beside = [key for key in ("law", "preview") if key in entry]
         if beside:
@@ -238,7 +238,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         return None
     law = entry["law"]
     match = LAW.fullmatch(law) if isinstance(law, str) else None
-    if match is None or Path(match["file"]).is_absolute() or ".." in Path(match["file"]).parts:
+    if match is None or Path(match["file"]).is_absolute() or law.startswith("~") or ".." in Path(match["file"]).parts:
         raise InputError(f"{where} law = {quoted(law)} is not a law in Python; {GIVE}")
     preview = entry.get("preview")
     return PythonLaw(law, None if preview is None else checked_preview(where, preview), folder)

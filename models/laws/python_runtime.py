@@ -77,12 +77,12 @@ class OwnLaw:
     """
 
     def __init__(self, controller: Programmed, forces: int) -> None:
-        """Executes the file, or resets the function if it has a method `reset`.
+        """Executes the file, or resets the function if it has a method `reset`, or else copies the function with its state.
 
         Raises:
             InputError: the file fails, or has no such function.
         """
-        law, step = controller.law, controller.function
+        law, step = controller.law, anew(controller.function)
         self._path, self._forces, self._fmu, self._name = law.path, forces, law.is_fmu, law.function
         self._what, self._state = described(controller), None
         self._index = {name: i for i, name in enumerate(controller.measured)}
@@ -147,6 +147,20 @@ class OwnLaw:
                 raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
             said = f"{name} fails ({reason(error, self._path)}){'' if time is None else f' at {time:.6g} s'}"
             raise InputError(f"{self._what}: {said}; correct it") from error
+
+
+def anew(function: Any) -> Any:
+    """Returns a copy of a function with its own closure, attributes, object and global variables, as they are before the run.
+
+    A function with a method `reset` is returned itself, and so is a function that cannot be copied.
+    """
+    if function is None or callable(getattr(function, "reset", None)):
+        return function
+    import cloudpickle  # copies functions, too
+
+    with suppress(Exception):  # of any object that it contains
+        return cloudpickle.loads(cloudpickle.dumps(function))
+    return function
 
 
 class LawRuns:

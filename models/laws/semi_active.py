@@ -1,7 +1,8 @@
 """Semi-active laws that ship: the coefficient of an adjustable damper, from the motion of its suspension.
 
 With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u' its extension rate, a damper gives -c v.
-A law requests c; the damper clips it to its limits and holds it until the next sample. If a law requests a force F of the whole
+A law requests c; the damper clips it to its limits and holds it until the next sample. Delay and valve lag act on c, not on the
+force, which is that of the present v. If a law requests a force F of the whole
 damper, as of a damper between body and sky, then c = -F / v. All functions take N runs side by side with m suspensions.
 
 Source of the names, and of the laws without a source of their own: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard,

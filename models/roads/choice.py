@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from models.common.checks import SETTINGS
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.files import path_from
 from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.load import Load
@@ -20,10 +22,7 @@ from models.roads.road import Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
 from models.vehicle.vehicle import Vehicle
 
-UNITS = {  # of numbers of roads; all others are lengths
-    **dict.fromkeys(("start", "duration"), "s"), **dict.fromkeys(("frequency", "lowest", "highest"), "Hz"),
-    "phase": "deg", "iri": "m/km", "gd": "m3", "waviness": "", "band": "cycle/m",
-}  # fmt: skip
+UNITS = {**SETTINGS, "waviness": "", "band": "cycle/m"}
 RANDOM = {"class": "C", "iri": 0.0, "gd": 0.0, "waviness": 2.0, "band": ""}  # settings of a random road
 TABLE = ("distance_unit", "height_unit", "unit", "separator", "columns", "step")  # of a file with a table
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
@@ -127,7 +126,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     if file and file["suffix"].lower() == "crg":
         with error_in(f"road {text!r}: an OpenCRG file contains its own units and interpolation, and"):
             given = settings(file["settings"], DRIVEN[:1])
-        return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
+        return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(path_from(file["path"], folder))))
     if file:
         from models.roads.profile_file import read_profile
 
@@ -136,7 +135,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
             join = given.get("join", JOINS[0])
             if join not in JOINS:
                 raise InputError(f"join = {join!r} is unknown; give one of {listing(JOINS)}")
-        profile = replace(read_profile(folder / file["path"], 20.0, given), join=join)
+        profile = replace(read_profile(path_from(file["path"], folder), 20.0, given), join=join)
         return RoadChoice(text, "profile", {}, _begun(text, given, profile))
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
@@ -166,9 +165,9 @@ def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
 
 def _unread(text: str, folder: Path) -> str:
     """Returns a message on a text that is an existing file of another type; else an empty text."""
-    path = folder / text
+    path = path_from(text, folder)
     if not path.exists():
-        path = folder / re.sub(r"(:\w+=[^:]*)+$", "", text)
+        path = path_from(re.sub(r"(:\w+=[^:]*)+$", "", text), folder)
     if not path.exists():
         return ""
     if path.is_dir():
@@ -189,7 +188,7 @@ def _rig(text: str, folder: Path) -> RoadChoice:
         given = settings(file["settings"], UNITS)
     except InputError as error:
         raise InputError(f"road {text!r}: {error}") from error
-    return RoadChoice(text, "rig", {}, rig=read_rig(folder / file["path"], given))
+    return RoadChoice(text, "rig", {}, rig=read_rig(path_from(file["path"], folder), given))
 
 
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:

@@ -151,7 +151,8 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
 TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of two tracks
 STEP = 0.025  # m, from sample to sample; a tenth of the moving average
 COARSEST = 0.3  # m; ASTM E1926 defines no IRI for coarser points
-EVEN = 1e-6  # rounding of the distances in a file, over the spacing
+EVEN = 0.01  # of the spacing: so far may the rounding of distances or coordinates change it
+ROUNDING = 1e-6  # relative, of the coarsest spacing
 SHORTEST = START + BASE  # m; a shorter profile has no IRI
 LONGEST = 1e5  # m, evaluated at most
 COUNTED = 512.0  # lines per cycle/m for the start, which is over in a fifth of 512 m
@@ -188,7 +189,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
     road = _without_loads(road)
     width = track_width(vehicle)
     step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
-    if step > COARSEST * (1 + EVEN) or len(tracks) * step <= SHORTEST:
+    if step > COARSEST * (1 + ROUNDING) or len(tracks) * step <= SHORTEST:
         return ()
     values = {"left": roughness_index(tracks[:, 0], step)}
     if width:
@@ -205,7 +206,7 @@ def why_none(road: Road) -> str:
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
     coarse = f"no iri: the road's points are {step:.3g} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
-    return coarse if step > COARSEST * (1 + EVEN) else ""
+    return coarse if step > COARSEST * (1 + ROUNDING) else ""
 
 
 def _without_loads(road: Road) -> Road:
@@ -239,7 +240,7 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
         heights = road.heights[: round(distance / step) + 1, : len(sides)]
-        if np.ptp(spacing) <= EVEN * step or step > COARSEST * (1 + EVEN):
+        if np.ptp(spacing) <= EVEN * step or step > COARSEST * (1 + ROUNDING):
             return step, heights
         distance = min(distance, float(road.distance[-1] - road.distance[0]))
     t = np.arange(math.floor(distance / STEP) + 1) * (STEP / road.speed)

@@ -22,10 +22,10 @@ real, 1 for long waves and 0 for short ones. The right track is coherency times 
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -111,6 +111,7 @@ class Iso8608(Road):
             integer, another number beyond `LIMITS`.
     """
 
+    units: ClassVar[Mapping[str, str]] = dict.fromkeys(("lowest", "highest"), "1/m")
     road_class: str = "C"
     seed: int = 0
     speed: float = 20.0

@@ -21,12 +21,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import SETTINGS, check_fields
 from models.common.errors import InputError, number_range
 from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
-UNITS = {"mass": "kg", "force": "N", "height": "m", "x": "m", "y": "m", "start": "s", "rise": "s", "hold": "s"}
 AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; a load takes time to rise, as no time step could follow a jump
 
 
@@ -108,11 +108,12 @@ class Ramped(Load):
         """Returns its largest values, by the names of the body's loads [N, N m]."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         limits = {**self.limits, "start": BEFORE, "rise": AFTER, "hold": (0.0, math.inf)}
         for name, (smallest, largest) in limits.items():
             value = getattr(self, name)
             if not smallest <= value <= largest:  # NaN is in no range
-                allowed = number_range(smallest, largest, UNITS.get(name, ""))
+                allowed = number_range(smallest, largest, SETTINGS[name].removeprefix("g"))
                 raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give {allowed}")
 
     @property

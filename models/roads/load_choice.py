@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import SETTINGS
 from models.common.errors import InputError, listing
-from models.common.files import reading
+from models.common.files import path_from, reading
 from models.common.printed import settings
 from models.common.table import find_table
 from models.common.units import quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
-from models.roads.load import UNITS as SETTING_UNITS
 from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
@@ -136,14 +136,14 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
     """
     if is_load_file(text):
-        return read_history(folder / text.strip())
+        return read_history(path_from(text.strip(), folder))
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")
     load = LOADS[kind]
     try:
         given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: setting(name, value, SETTING_UNITS.get(name, "g")) for name, value in given.items()})
+        return load(**{name: setting(name, value, SETTINGS[name]) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 

@@ -22,6 +22,7 @@ SHORT = 5.0  # m, of a gap that is no doubt drawn by its ends
 SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have a thousandth, the roughest class of ISO 8608 a half
 CHORD = 0.25  # m, of slopes as in ASTM E1926
 FEWEST = 4  # points of a spline
+OFTEN = 0.05  # of the points: sorted so badly, a distance may be a coordinate
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
 JOINS = ("straight", "smooth")
@@ -41,6 +42,7 @@ class Profile(MeasuredRoad):
         speed: V [m/s].
         source: the file.
         join: "straight" or "smooth".
+        note: remark on the columns of the file, a phrase; empty for none.
 
     Raises:
         InputError: distances that do not ascend, numbers that are not finite, too few points, an unknown join, or a gap in a
@@ -52,6 +54,7 @@ class Profile(MeasuredRoad):
     speed: float = 20.0
     source: str = field(default="")
     join: str = "straight"
+    note: str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -77,6 +80,10 @@ class Profile(MeasuredRoad):
             )
 
     def remark(self, length: float) -> str:
+        """Returns a remark on the columns of the file, and on the driven length [m]: the widest gap, heights of no road."""
+        return "; ".join(filter(None, (self.note, self._doubt(length))))
+
+    def _doubt(self, length: float) -> str:
         """Returns a remark on the widest gap between points over a driven length [m], or on heights of no road; empty without."""
         x, z = self._driven(length)
         steps = np.diff(x)
@@ -270,7 +277,10 @@ def check_ascending(
         if steps[i] == 0:
             raise InputError(f"{axis} {x[i]:.12g} {unit} is repeated ({where(i)} and {where(i + 1)}); keep one of the two points")
         there = f"{axis} falls from {x[i]:.12g} {unit} to {x[i + 1]:.12g} {unit} ({where(i)} and {where(i + 1)})"
-        raise InputError(f"{there}; sort the points by {axis}")
+        if (steps < 0).all():
+            raise InputError(f"{there} and at all other points; reverse the order of the points")
+        both = "; if this column is a map coordinate, give the other coordinate, too" if np.mean(steps < 0) > OFTEN else ""
+        raise InputError(f"{there}; sort the points by {axis}{both}")
     usual = float(np.median(steps))
     for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:
         there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"

@@ -10,6 +10,7 @@ heights of left and right track. Vehicles start at distance 0, which the table m
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
-from models.common.quantities import Heading, check_unit_options
+from models.common.quantities import UNREAD, Heading, check_unit_options, left_out_words
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
 from models.roads.load_choice import setting
 from models.roads.profile import Profile, check_points
+from models.roads.profile_path import check_tracks, coordinates, in_degrees, other_length, path_of
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
@@ -69,37 +71,48 @@ def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = 
 
 
 def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> Profile:
-    wanted = [int(column) - 1 for column in given.get("columns", "").split(",") if column]
+    wanted, stepped = [int(column) - 1 for column in given.get("columns", "").split(",") if column], "step" in given
     table = find_table(text, FORMAT, given.get("separator", ""), (wanted or [0])[0])
     headings = table.headings(("m",), optional=True)
     headings += [Heading(column=i + 1) for i in range(table.count, max(wanted, default=0) + 1)]
-    used = choose_columns(table, headings, wanted, "step" in given)
+    place = () if stepped else coordinates(headings, wanted)
+    path = bool(place) and not any(one.quantity == "distance" for i, one in enumerate(headings) if i not in place)
+    names = {place[0]: "distance", place[1]: UNREAD} if path else dict.fromkeys(place, UNREAD)
+    roles = [replace(one, name=names.get(i, one.name)) for i, one in enumerate(headings)]
+    used = choose_columns(table, roles, [i for i in wanted if not path or i != place[1]], stepped)
     points, lines = table.numbers(used, ragged=bool(wanted))
-    options = ("distance_unit", "height_unit", "height_unit")["step" in given :]
-    scales = [
-        headings[column].scale("distance", option, given.get(option, ""), "m")
-        for column, option in zip(used, options, strict=False)
-    ]
-    if "step" in given:
+    note = left_out_words(headings, [i + 1 for i in (*used, *place[: 2 * path])])
+
+    height_unit, unit = given.get("height_unit", ""), given.get("distance_unit", "")
+    scales = [headings[i].scale("distance", "height_unit", height_unit, "m") for i in used[not stepped :]]
+    heights = points[:, [-len(scales), -1]] * [scales[0], scales[-1]]
+    if stepped:
         step = setting("step", given["step"], "m")
         if not step > 0:
             raise InputError(f"step = {given['step']!r} is not allowed; give the spacing of the heights, as in step=0.25")
         if len(used) == 2 and not wanted and not headings[used[0]].quantity and _is_distance(points[:, 0], step):
             raise InputError(STEPPED)
-        heights = points[:, [0, -1]] * [scales[0], scales[-1]]
-        check_points(step * np.arange(len(points)), heights, lambda i: f"line {lines[i]}")
-        return Profile(step * np.arange(len(points)), heights, speed, source)
-    if len(used) == 3 and table.separator == "," and not (given.keys() & {"separator", "columns"} or headings[used[1]].name):
-        _check_commas(table)
-    distance, heights = points[:, 0] * scales[0], points[:, [1, -1]] * [scales[1], scales[-1]]
+        distance = step * np.arange(len(points))
+    elif path:
+        distance, said = path_of(table, [headings[i] for i in place], unit, bool(wanted))
+        moved = np.append(True, np.diff(distance) > 0)
+        distance, heights, lines, note = distance[moved], heights[moved], np.array(lines)[moved], [said, *note]
+    else:
+        distance = points[:, 0] * headings[used[0]].scale("distance", "distance_unit", unit, "m")
+        note += other_length(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
+    if len(used) == 3 and not any(headings[i].name for i in used):
+        if table.separator == "," and not given.keys() & {"separator", "columns"}:
+            _check_commas(table)
+        check_tracks(distance, heights, table.first + 1)
     check_points(distance, heights, lambda i: f"line {lines[i]}")
     spacing = float(np.median(np.diff(distance)))
-    if spacing > WIDEST and not (headings[used[0]].unit or "distance_unit" in given):
+    known = stepped or "distance_unit" in given or headings[used[0]].unit or (path and in_degrees([headings[i] for i in place]))
+    if spacing > WIDEST and not known:
         raise InputError(
             f"the points are {spacing:.3g} m apart if the distances, which have no unit, are in m; give their unit, as in "
             ":distance_unit=mm or :distance_unit=m"
         )
-    return Profile(distance, heights, speed, source)
+    return Profile(distance, heights, speed, source, note="; ".join(note))
 
 
 def choose_columns(

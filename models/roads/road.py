@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Must, check, is_finite, plain
+from models.common.checks import SETTINGS, Must, as_number, check, is_finite, plain
 from models.common.errors import InputError, number_range, quoted
+from models.common.plausibility import Known, remarks
 from models.kinds.kind import Parameters, Wheel
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
@@ -63,6 +64,12 @@ class Road(ABC):
     def from_start(self) -> "Road":
         """The road measured from the steady motion in which the vehicle starts, see `MeasuredRoad`; itself if that is rest."""
         return self
+
+    @property
+    def doubts(self) -> list[str]:
+        """Remarks on numbers that are probably in another unit: a speed, or the height of an obstacle."""
+        heights = ({"obstacle": Known(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
+        return remarks([{"speed": Known("speed", self.speed, "m/s")}, *heights])
 
     @property
     def loaded(self) -> bool:
@@ -156,25 +163,19 @@ class Road(ABC):
 
 
 LIMITS = {"height": (-10.0, 10.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
-UNITS = dict.fromkeys(("from", "height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
-    "speed": "m/s",
-    "lowest": "Hz",
-    "highest": "Hz",
-    "frequency": "Hz",
-    "phase": "degrees",
-    "duration": "s",
-    "start": "s",
-}
+UNITS = {**SETTINGS, "phase": "degrees"}
 
 
 def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
     """Refuses a road with a number beyond its limits (smallest, largest), by name, or on an unknown track.
 
+    A text with a number and its unit becomes the number.
+
     Raises:
-        InputError: a number out of range, or an unknown track; the message contains its name and the range.
+        InputError: a number out of range, a wrong unit, or an unknown track; the message contains its name and the range.
     """
     for name, (smallest, largest) in limits.items():
-        value = plain(getattr(road, name))
+        value = as_number(plain(getattr(road, name)), UNITS.get(name, ""), f"{kind} {name}")
         object.__setattr__(road, name, value)
         if not is_finite(value) or not smallest <= value <= largest:
             shown = f"{value:g}" if isinstance(value, int | float) else quoted(value)
@@ -276,6 +277,11 @@ class DerivedRoad(Road):
     def kinks(self) -> tuple[float, ...]:
         """Kinks of the road."""
         return self.road.kinks
+
+    @property
+    def doubts(self) -> list[str]:
+        """Remarks on the road."""
+        return self.road.doubts
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:

@@ -20,6 +20,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.suspension import LEAVES
+from models.suspension.curve_lines import lines_from_rest, slopes_at_rest
 
 STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
 
@@ -55,6 +56,8 @@ class ForceCurve:
         words: description of the curve, a phrase.
         at_rest: force of its table at rest, which is not part of the curve [N].
         note: remark of its table, a phrase.
+        whole: curve of all points of its table, if this curve has fewer.
+        error: largest difference from that curve [N].
     """
 
     x: Array
@@ -63,6 +66,8 @@ class ForceCurve:
     words: str
     at_rest: float = 0.0
     note: str = ""
+    whole: "ForceCurve | None" = None
+    error: float = 0.0
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""
@@ -70,7 +75,10 @@ class ForceCurve:
 
     def scaled(self, factor: float) -> "ForceCurve":
         """Returns the curve with all forces multiplied by a factor."""
-        return self if factor == 1 else replace(self, force=factor * self.force, slope=factor * self.slope)
+        if factor == 1:
+            return self
+        whole = self.whole and self.whole.scaled(factor)
+        return replace(self, force=factor * self.force, slope=factor * self.slope, whole=whole, error=factor * self.error)
 
     def at_wheel(self, ratio: float) -> "ForceCurve":
         """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
@@ -82,14 +90,19 @@ class ForceCurve:
         Raises:
             InputError: the table does not reach that load.
         """
-        low, high = -float(self.force.max()), -float(self.force.min())
+        own = self.whole or self
+        low, high = -float(own.force.max()), -float(own.force.min())
         if not low < more < high:
             raise InputError(f"its table carries {low:.4g} to {high:.4g} N more than at rest, not {more:.4g} N; extend the table")
-        i = int(np.flatnonzero((self.force[:-1] <= -more) & (self.force[1:] >= -more))[0])
-        rest = float(np.interp(-more, self.force[i : i + 2], self.x[i : i + 2]))
-        x = np.unique([*(self.x - rest), 0.0])
-        force = np.where(x == 0, 0.0, self(x + rest) + more)
-        return replace(self, x=x, force=force, slope=slope_at_rest(x, force), at_rest=self.at_rest - more)
+        i = int(np.flatnonzero((own.force[:-1] <= -more) & (own.force[1:] >= -more))[0])
+        rest = float(np.interp(-more, own.force[i : i + 2], own.x[i : i + 2]))
+        x = np.unique([*(own.x - rest), 0.0])
+        force = np.where(x == 0, 0.0, np.interp(x + rest, own.x, own.force) + more)
+        moved = replace(self, x=x, force=force, slope=slope_at_rest(x, force), at_rest=self.at_rest - more)
+        if self.whole is None:
+            return moved
+        x, force = lines_from_rest(x, force, slopes_at_rest(x, force, self.error), self.error)
+        return replace(moved, x=x, force=force, slope=slope_at_rest(x, force), whole=replace(moved, whole=None))
 
     @cached_property
     def slopes(self) -> Array:

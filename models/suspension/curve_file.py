@@ -9,7 +9,7 @@ READ_T_O_START_TABLE_READ).
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +17,27 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.files import origin, reading
-from models.common.quantities import QUANTITIES, Heading
+from models.common.files import origin, path_from, reading
+from models.common.quantities import QUANTITIES, Heading, columns_in_words, left_out_words
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import QUANTITY, unit_size
 from models.suspension import RATIO, STOP, STOP_NAMES
+from models.suspension.curve_log import dissipation, velocity_of
 from models.suspension.measured_loop import mean_of_loop
 from models.suspension.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
+GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"
 ARGUMENTS = ("velocity", "deflection")
 SIGNED = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}  # in extension
 ROLES = {  # words of each column
     "force": {"force", "load", "kraft", "effort"},
     "velocity": {*SIGNED["velocity"], "speed"} - {"v"},
-    "deflection": {"deflection"},
+    "deflection": {"deflection", "displacement"},
+    "time": {"time", "t", "timestamp", "zeit", "temps"},
 }
+LOG = ("time", "deflection", "force")  # of a dynamometer, from which the velocity is computed
 GAS = 0.02  # of the largest force: differences at rest that are no gas
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
@@ -119,11 +123,12 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
         raise InputError(f"file = {quoted(name)} is not the name of a file; {GIVE}")
     if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
         raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
-    file, over = folder / name, _argument(path)
+    file, over = path_from(name, folder), _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
         text = _dpr_columns(table_text(file)) if name.lower().endswith(".dpr") else table_text(file)
-        table = _of_ratio(text) if over == RATIO else surface_columns(text, GIVE) or _of_columns(text, over)
+        give = GIVE_MATLAB if name.lower().endswith(".mat") else GIVE
+        table = _of_ratio(text) if over == RATIO else surface_columns(text, give) or _of_columns(text, over, give)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
             raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
@@ -131,7 +136,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     return table
 
 
-def _of_columns(text: str, over: str) -> dict[str, Any]:
+def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     """Returns a table in SI units, positive in extension; that of a stop over its compression, positive in compression.
 
     The words of the headings decide the signs. The sheet of a damper dynamometer has speeds, and forces in compression and in
@@ -139,25 +144,39 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
 
     Args:
         over: "velocity", "deflection", or "compression" for a stop; empty for the first two.
+        give: required content of the file, for messages.
     """
-    table = find_table(text, GIVE)
+    table = find_table(text, give)
     headings = table.headings([QUANTITIES[name].si for name in ROLES])
     by_role: dict[str, list[Heading]] = defaultdict(list)
     for heading in headings:
         by_role[_role(heading)].append(heading)
+    for role in ROLES:  # volts of a force's sensor are no force
+        by_role[role] = [one for one in by_role[role] if unit_size(one.unit, QUANTITIES[role].si)] or by_role[role]
     wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
     known, forces = by_role[wanted], by_role["force"]
+    log = wanted == "velocity" and not known
+    if log and not all(len(by_role[role]) == 1 for role in LOG):
+        roles = {one.column: role for role in ROLES for one in by_role[role]}
+        each = [f"{columns_in_words([one])} is {roles.get(one.column, 'not read')}" for one in headings]
+        missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
+        raise InputError(
+            f"has the columns {listing(one.name for one in headings)}; give velocity and force, or time, displacement and force, "
+            f"of one setting, with their units: {', '.join(each)}; needed: {listing(missing)}"
+        )
+    if log:
+        known = by_role["deflection"]
     if not known and any(by_role[one] for one in ARGUMENTS):
         raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
     told = {"deflection", "compression"} if over == "compression" else SIGNED[wanted]
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
-    asked = next((one for one in headings if one not in forces), headings[0])
+    asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
         f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
         f"above it ({wanted} is positive in extension)"
     )
-    if undirected and not (over == "compression" and known):
+    if undirected and not log and not (over == "compression" and known):
         raise question
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
@@ -165,19 +184,26 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
         raise InputError(f"has the columns {columns}; give two, {over or wanted} and force, of one setting")
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]
-    x, *values = (numbers * [used[0].scale(wanted), *(one.scale("force") for one in used[1:])]).T
+    x, *values = (numbers * [used[0].scale("deflection" if log else wanted), *(one.scale("force") for one in used[1:])]).T
+    clock = by_role["time"] if log else []
+    notes = left_out_words(headings, [one.column for one in (*used, *clock)])
+    if log:
+        x, values[0], said = velocity_of(table.seconds(clock[0]), x, values[0])
+        notes += [said] if used[0].direction or used[1].direction else [said, "displacement counts as positive in extension"]
     if sheet:
-        return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True))
-    if undirected and numbers.min() < 0:
+        return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True)) | _note(notes)
+    if undirected and not log and numbers.min() < 0:
         raise question
     # A stop's own compression may have any other word before it: rebound stop compression. Without a direction it is meant, too.
     named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
-    x, force, note = towards * x, (named or used[1].direction or 1) * values[0], {}
+    x, force = towards * x, (named or used[1].direction or 1) * values[0]
     if (np.diff(x) <= 0).any() and (np.diff(x) >= 0).any():
-        loop = mean_of_loop(x, force, QUANTITIES[wanted].si, at_rest=wanted == "velocity")
+        turn, about = _dissipating(x, force, *used) if wanted == "velocity" else ((1.0, 1.0), [])
+        loop = mean_of_loop(turn[0] * x, turn[1] * force, QUANTITIES[wanted].si, at_rest=wanted == "velocity")
         if loop is not None:
-            x, force, note["note"] = loop
+            x, force, said = loop
+            notes += [*about, said]
     order = np.argsort(x, kind="stable")
     if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():  # a part of a loop is neither
         x, force = x[order], force[order]
@@ -185,7 +211,29 @@ def _of_columns(text: str, over: str) -> dict[str, Any]:
     x, force = x[different], force[different]
     if over == "compression":
         wanted, x, force = over, -x[::-1], -force[::-1]
-    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist(), **note}  # no -0.0
+    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist()} | _note(notes)  # no -0.0
+
+
+def _note(remarks: Sequence[str]) -> dict[str, str]:
+    return {"note": "; ".join(remarks)} if remarks else {}
+
+
+def _dissipating(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
+    """Returns the signs of velocity and force with which a damper dissipates energy over a test, and a remark on the turned one.
+
+    Args:
+        motion, load: headings of velocity or displacement, and of force.
+
+    Raises:
+        InputError: the headings give both directions, and the damper would supply energy.
+    """
+    if (power := dissipation(velocity, force)) > 0:
+        return (1.0, 1.0), []
+    found = f"the force falls as velocity rises (mean power {power:.3g} W), but a damper dissipates energy"
+    if motion.direction and load.direction:
+        raise InputError(f"{found}; correct the direction in the heading of column {motion.column} or {load.column}")
+    what, signs = ("velocity", (-1.0, 1.0)) if load.direction else ("force", (1.0, -1.0))
+    return signs, [f"{found}, so the sign of the {what} is turned"]
 
 
 def _of_ratio(text: str) -> dict[str, Any]:

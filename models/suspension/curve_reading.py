@@ -1,9 +1,4 @@
-"""`[curves]` of a vehicle file: tables of a damper's force over velocity, or a spring's over deflection, checked and thinned.
-
-Curves of many points get fewer straight lines, after H. Imai and M. Iri (1986), An optimal algorithm for approximating a
-piecewise linear function, J. Inf. Process. 9, 159-162, with points of the curve as ends. Between points both are straight, so the
-error at the points is the error everywhere.
-"""
+"""`[curves]` of a vehicle file: tables of a damper's force over velocity, or a spring's over deflection, checked and thinned."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,41 +11,12 @@ from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.units import in_unit
 from models.suspension.curve import ForceCurve, slope_at_rest
+from models.suspension.curve_lines import lines_from_rest, slopes_at_rest, thinned
 from models.suspension.surface import ForceSurface, surface_of
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
 FRICTION_POINTS = 601  # points of the smooth curve, of which the lines take some; the error between points is 1e-5
-
-
-def thinned(x: Array, force: Array, error: float) -> Array:
-    """Returns the indices of the remaining points of a curve, shape (k,): the first, the last, rest, and as few as will do
-    between.
-
-    Args:
-        x: points of the curve, ascending, with rest, 0, among them, shape (n,).
-        force: shape (n,).
-        error: largest allowed error, in the force's unit.
-    """
-    rest = int(np.searchsorted(x, 0.0))
-    indices, first = [], 0
-    for last in (rest, len(x) - 1):
-        while first < last:
-            indices.append(first)
-            first = _farthest(x, force, first, last, error)
-    return np.array([*indices, len(x) - 1])
-
-
-def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point to which a straight line from the first is within the error of every point between."""
-    run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
-    # Every point on the way limits the slope of a line from above and below.
-    steepest = np.minimum.accumulate((rise + error) / run)
-    flattest = np.maximum.accumulate((rise - error) / run)
-    slope = rise / run
-    fits = np.ones(len(run), dtype=bool)
-    fits[1:] = (slope[1:] <= steepest[:-1]) & (slope[1:] >= flattest[:-1])
-    return first + 1 + int(np.flatnonzero(fits)[-1])
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
@@ -70,7 +36,8 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
 
 MOST_POINTS = 20_000  # of a table
 MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs 2 % of a quarter-car's time step
-USUAL_ERROR = 0.005  # over a curve's largest force, if its table has more lines than that
+AT_REST = 2  # more lines of a thinned curve, which keep its slopes next to rest
+ERRORS = (0.005, 0.01, 0.02)  # over a curve's largest force, if its table has more lines than that: the first with few lines
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
 CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
@@ -194,9 +161,11 @@ def curve_of(entry: Any, over: Argument, load: Callable[[], float | None] = lamb
         force = sum(slopes) * x + sum(ForceCurve(*part[:2], 0.0, "")(x) for part in parts)
         force = np.where(x == 0, 0.0, force)
     errors = [one["fit_error"] for one in tables if "fit_error" in one]
-    lines, force, words = as_lines(x, force, min(errors) if len(errors) > 1 else errors[0] if errors else None)
+    ends, forces, words = as_lines(x, force, min(errors) if len(errors) > 1 else errors[0] if errors else None)
     words = f"sum of {len(entries)} elements: {words}" if len(entries) > 1 else words
-    curve = _checked(ForceCurve(lines, force, slope_at_rest(lines, force), words), over)
+    curve = _checked(ForceCurve(ends, forces, slope_at_rest(ends, forces), words), over)
+    if (error := float(np.abs(np.interp(x, ends, forces) - force).max())) > ROUNDING * curve.range:
+        curve = replace(curve, whole=ForceCurve(x, force, slope_at_rest(x, force), ""), error=error)
     for one in tables:
         curve = _with_friction(curve, one) if set(FRICTION) & set(one) else curve
     note = "; ".join(str(one["note"]) for one in tables if "note" in one)
@@ -325,7 +294,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
         raise InputError(
-            f"force is {np.abs(force).max():g} N at most, and nothing below {SMALLEST_FORCE:g} N counts; give it in N"
+            f"the force differs by at most {np.abs(force).max():g} N from the force at rest; give at least {SMALLEST_FORCE:g} N"
         )
     if 0.0 not in x:
         i = int(np.searchsorted(x, 0.0))
@@ -334,21 +303,24 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 
 
 def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]:
-    """Returns the curve in as few straight lines as will do, and its description."""
+    """Returns the curve in as few straight lines as will do, with the slopes of its points at rest, and its description."""
     if fit_error is not None:
         number_within("fit_error", fit_error, SMALLEST_ERROR, LARGEST_ERROR, more=", a share of its largest force")
     largest = float(np.abs(force).max())
     indices = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
     if fit_error is not None or len(indices) > MOST_LINES + 1:
-        error = USUAL_ERROR if fit_error is None else float(fit_error)
-        indices = thinned(x, force, error * largest)
-        words += f" replaced by {len(indices) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
-        if len(indices) > MOST_LINES + 1:
+        for error in ERRORS if fit_error is None else (float(fit_error),):
+            ends, forces = lines_from_rest(x, force, slopes_at_rest(x, force, error * largest), error * largest)
+            if len(ends) <= MOST_LINES + AT_REST + 1:
+                break
+        else:
             raise InputError(
-                f"needs {len(indices) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
-                f"{MOST_LINES} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
+                f"needs {len(ends) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
+                f"{MOST_LINES + AT_REST} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
             )
+        words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
+        return ends, forces, words
     return x[indices], force[indices], words
 
 

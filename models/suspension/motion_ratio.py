@@ -25,7 +25,8 @@ from models.common.errors import InputError, quoted
 from models.suspension import RATIO
 from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
-from models.suspension.curve_reading import DEFLECTION, MOST_LINES, in_si, points, thinned
+from models.suspension.curve_lines import lines_from_rest
+from models.suspension.curve_reading import DEFLECTION, MOST_LINES, in_si, points
 from models.suspension.surface import ForceSurface, surface_of
 
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
@@ -124,7 +125,7 @@ class RatioTable:
 
         force = pull(x)
         largest = float(np.abs(force[1:-1]).max())
-        by_error = ((error, _lines(x, force, slope, error * largest)) for error in ERRORS)
+        by_error = ((error, lines_from_rest(x, force, (slope, slope), error * largest / 2)) for error in ERRORS)
         error, lines = next((one for one in by_error if len(one[1][0]) <= MOST_LINES + 1), (0.0, (x, force)))
         if not error:
             raise InputError(f"the motion ratio turns this curve into more than {MOST_LINES} straight lines; smooth their tables")
@@ -194,20 +195,6 @@ def line(slope: float, low: float, high: float) -> ForceCurve:
     """Returns a straight characteristic, whose largest force is that at the ends of a range."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
-
-
-def _lines(x: Array, force: Array, slope: float, error: float) -> tuple[Array, Array]:
-    """Returns the points of as few straight lines as will do, within an error [N]; that through rest has the slope given."""
-    at = [(0.0, 0.0)]
-    for side in (-1.0, 1.0):
-        s, f = (one[side * x > 0][:: int(side)] for one in (side * x, force))
-        near = np.abs(f - slope * side * s) <= error / 2
-        k = max(1, len(s) if near.all() else int(near.argmin()))
-        s, f = s[k - 1 :], np.append(slope * side * s[k - 1], f[k:])
-        chosen = thinned(s - s[0], f, error / 2)
-        at += zip((side * s[chosen]).tolist(), f[chosen].tolist(), strict=True)
-    x, force = np.array(sorted(at)).T
-    return x, force
 
 
 def ratio_table(entry: Any, check: Callable[[float], object]) -> RatioTable:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import origin, parse_toml, reading
+from models.common.files import origin, parse_toml, path_from, reading
 from models.common.table import find_table
 from models.common.toml_edit import Replacement, with_replacements
 from models.common.units import in_unit
@@ -88,7 +88,7 @@ def _families(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
     """Yields the families of vehicles that controllers name files for."""
     for name, entry in _entries(data, KEY):
         if isinstance(file := entry[KEY], str):
-            path, read = folder / file, _of_toml if file.lower().endswith(".toml") else _of_csv
+            path, read = path_from(file, folder), _of_toml if file.lower().endswith(".toml") else _of_csv
             with reading(path, f"[controllers.{name}] {KEY}", GIVE_FAMILY):
                 content = path.read_bytes()
                 family = read(content.decode("utf-8-sig").replace("\r\n", "\n"))
@@ -117,7 +117,7 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             raise InputError(f"{where} file = {quoted(file)} is not the name of a file; {GIVE_LAW}")
         if others := [key for key in ("gain", "law", "fmu", *MATRICES) if key in entry]:
             raise InputError(f"{where} has both file and {listing(others)}, but a file contains the whole law; omit one of them")
-        path = folder / file
+        path = path_from(file, folder)
         with reading(path, f"{where} file", GIVE_LAW):
             content = path.read_bytes()
             law, period = read_law(content)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
-from models.common.printed import about, rough
+from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, Key, Section, read
 from models.common.units import in_unit
 from models.suspension import STOP_KEYS, STOP_NAMES
@@ -305,50 +305,6 @@ class ImplementationSection(Implementation):
     def implementation(self) -> Implementation:
         """The implementation that it describes."""
         return Implementation(*(getattr(self, one.name) for one in fields(Implementation)))
-
-
-SLOWEST_BODY, FASTEST_BODY = 0.15, 15.0  # Hz: between an airship's cabin and a model car
-SOFTEST_BODY, FIRMEST_BODY = 0.002, 10.0  # damping ratio; a damper of 0 is no mistake
-MOST_APART = 50.0  # ratio of the same parameter at two corners
-PAIRED = {"suspension_stiffness": "N/m", "suspension_damping": "N s/m", "unsprung_mass": "kg", "tyre_stiffness": "N/m"}
-LONGEST_STROKE, SOFTEST_STOP = 2.0, 1e3  # m, N/m
-
-
-def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
-    """Returns questions about units that are probably not SI: corners far apart, a body that hardly moves, a stroke of metres.
-
-    For the body, springs and dampers of all corners count together, so the numbers are rough. Nothing is asked of a body
-    without mass or springs.
-
-    Args:
-        parameters: parameters of the vehicle, by name [SI].
-        limits: limits of the vehicle.
-    """
-    mass = parameters.get("sprung_mass", 0.0)
-    k, c = (
-        sum(value for name, value in parameters.items() if name.startswith(start))
-        for start in ("suspension_stiffness", "suspension_damping")
-    )
-    doubts = []
-    for start, unit in PAIRED.items():
-        corners = sorted((value, name) for name, value in parameters.items() if name.startswith(start) and value)
-        if corners and (apart := corners[-1][0] / corners[0][0]) > MOST_APART:
-            doubts.append(f"{corners[-1][1]} is {round(apart)} times {corners[0][1]}; are both in {unit}?")
-    if mass and k and not doubts:
-        frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
-        if not SLOWEST_BODY <= frequency <= FASTEST_BODY:
-            doubts.append(
-                f"the body's natural frequency is about {about(frequency)} Hz; "
-                "check that sprung_mass is in kg and stiffness in N/m"
-            )
-        elif ratio > FIRMEST_BODY or 0 < ratio < SOFTEST_BODY:
-            doubts.append(f"the body's damping ratio is about {about(ratio)}; check that the damping is in N s/m")
-    for name, text in limits.written.items():
-        if "suspension_stroke" in name and float(text) > LONGEST_STROKE:
-            doubts.append(f"{name} is {text} m; check that its value is in m")
-        elif "stop_stiffness" in name and not text.startswith(("[", "table")) and float(text) < SOFTEST_STOP:
-            doubts.append(f"{name} is {text} N/m; check that its value is in N/m")
-    return doubts
 
 
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:

@@ -8,7 +8,7 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from models.common.errors import InputError
+from models.common.errors import InputError, quoted
 
 WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that runs can leave out
 PASSIVE = "passive"  # the controller without force, of every vehicle
@@ -26,8 +26,8 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
         raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
     if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
-            f"{where} the controller's name is not allowed; use letters, digits, '_' and '-', without '-' at the beginning, and "
-            f"at most {LONGEST_NAME} bytes of UTF-8"
+            f"{where} the controller's name {quoted(name)} is not allowed; use letters, digits, '_' and '-', without '-' at the "
+            f"beginning, and at most {LONGEST_NAME} bytes of UTF-8"
         )
 
 
@@ -77,8 +77,10 @@ def split_off(text: str) -> tuple[str, list[str]]:
 
 def named_files(texts: Iterable[str | None]) -> list[Path]:
     """Returns the files in the texts of roads and loads."""
+    from models.common.files import path_from
+
     parts = (part.strip() for text in texts if text for road, loads in (split_off(text),) for part in (road, *loads))
-    return [Path(file[0]) for file in map(named_file, parts) if file]
+    return [path_from(file[0]) for file in map(named_file, parts) if file]
 
 
 def is_load_file(text: str) -> bool:

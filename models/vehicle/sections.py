@@ -2,18 +2,20 @@
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.checks import check_keys, flag_within, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.plausibility import Known
 from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number, no_loads
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
 if TYPE_CHECKING:
+    from models.kinds.kind import Suspension
     from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
@@ -228,6 +230,84 @@ def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
 
 
+CORNER = {  # quantities at a suspension: the beginning of a parameter's name, and its unit
+    "spring": ("suspension_stiffness", "N/m"), "damper": ("suspension_damping", "N s/m"), "wheel": ("unsprung_mass", "kg"),
+    "tyre": ("tyre_stiffness", "N/m"), "tyre_damper": ("tyre_damping", "N s/m"),
+}  # fmt: skip
+
+
+def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
+    """Yields the quantities of a vehicle by place, with the names that `models.common.plausibility.RULES` has for them.
+
+    For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
+    dampers do not count: `suspension_doubts` remarks on them.
+
+    Args:
+        vehicle: the `Vehicle`, whose module imports this one.
+    """
+    kind, limits, how, axles = vehicle.kind, vehicle.force_limits or vehicle.limits, vehicle.implementation, dict[str, Known]()
+    bent = {part.damping for part in kind.suspensions} & {*vehicle.curves}
+    p = {name: value for name, value in kind.at_wheels(vehicle.parameters).items() if value and name not in bent}
+    for start, unit in CORNER.values():
+        if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
+            (low, low_name), (high, high_name) = corners[0], corners[-1]
+            yield _known(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
+    k, c = (sum(value for name, value in p.items() if name.startswith(CORNER[of][0])) for of in ("spring", "damper"))
+    if k and (mass := p.get("sprung_mass")):
+        yield _known(frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), ""))
+    yield _known(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
+    for part in kind.suspensions:
+        place = _at_suspension(vehicle, part, p)
+        if "body_frequency" in place:
+            axles.setdefault(part.corner.partition("_")[0], place["body_frequency"])
+        yield place
+    yield axles
+    for key, of in (("suspension_stroke", "stroke"), ("stop_stiffness", "stop")):
+        written = {name: text for name, text in vehicle.limits.written.items() if key in name and text[0] not in "[t"}
+        yield from (_known(**{of: (name, float(text), "")}) for name, text in written.items())
+    for bandwidth in (limits.actuator_bandwidth, *(damper.bandwidth for damper in vehicle.dampers.values())):
+        yield _known(bandwidth=("bandwidth", (bandwidth or 0.0) / (2 * math.pi), "Hz"))
+    period, units = how.sample_period or 0.0, {signal.name: signal.unit for signal in kind.signals}
+    yield _known(period=("sample_period", period, "s"), delay=("delay times sample_period", how.delay * period, "s"))
+    for name, errors in (("noise", how.noise), ("quantisation", how.quantisation)):
+        for signal, size in errors.items():
+            yield _known(**{f"error_{units.get(signal)}": (f"{name} of {signal}", size, units.get(signal, ""))})
+
+
+def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, Known]:
+    """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
+    kind, damper, stops = vehicle.kind, vehicle.dampers.get(part.force), vehicle.stops.get(part.deflection)
+    r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
+    names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
+    names |= {"spring": part.stiffness, "damper": part.damping}
+    k, c, wheel, tyre, tyre_damper = (p.get(name, 0.0) for name in names.values())
+    critical, hop = 2 * math.sqrt(k * load / GRAVITY), 2 * math.sqrt(tyre * wheel)
+    return _known(
+        **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
+        **{side: (f"the {side} stroke", stop.stroke, "m") for side, (_, stop) in (stops.sides if stops else {}).items()},
+        damping=("", _ratio(c, critical), ""),
+        adjustable=("", _ratio(r**2 * damper.c_max if damper else 0.0, critical), ""),
+        tyre_damping=("", _ratio(tyre_damper, hop), ""),
+        ratio=(part.ratio, vehicle.parameters.get(part.ratio), ""),
+        body=("the body on it", load / GRAVITY, "kg"),
+        load=("the static load", load, "N"),
+        static=("the static deflection", _ratio(load, k), "m"),
+        squeeze=(names["tyre"], _ratio(load, tyre), "m"),
+        body_frequency=(f"the body's frequency at {part.corner}", math.sqrt(_ratio(k * GRAVITY, load)) / (2 * math.pi), "Hz"),
+        force=("actuator_force", (vehicle.force_limits or vehicle.limits).actuator_force, "N"),
+    )
+
+
+def _known(**quantities: tuple[str, float | None, str]) -> dict[str, Known]:
+    """Returns quantities, each with its name, value and unit, without those that are None or 0."""
+    return {of: Known(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
+
+
+def _ratio(of: float, to: float) -> float:
+    """Returns a ratio; 0 if it is unknown."""
+    return of / to if to else 0.0
+
+
 def suspension_doubts(
     kind: VehicleKind,
     parameters: Mapping[str, float],
@@ -278,11 +358,13 @@ def settled(
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
     """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    from models.suspension.measured_loop import slope_words
+
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
     for name, curve in curves.items():
         carried, load = -curve.at_rest, loads.get(name)
-        notes += [f"{name}: {curve.note}"] if curve.note else []
+        notes += [f"{name}: {curve.note}{slope_words(curve)}"] if curve.note else []
         if carried and load is not None and abs(carried - load) > CARRIED * load:
             notes.append(
                 f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "

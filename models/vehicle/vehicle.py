@@ -1,6 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +13,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.files import STDOUT, parse_toml, read_text
+from models.common.files import STDOUT, parse_toml, path_from, read_text
+from models.common.plausibility import remarks
 from models.common.schema import read
 from models.document.document import Document
 from models.document.figure import Figure
@@ -27,7 +29,6 @@ from models.vehicle.limits_and_implementation import (
     Limits,
     check_period,
     read_limits,
-    unit_doubts,
 )
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
@@ -36,6 +37,7 @@ from models.vehicle.sections import (
     curves_and_parameters,
     dampers_of,
     in_si_units,
+    known_quantities,
     ratio_doubts,
     read_performance,
     read_sums,
@@ -145,6 +147,9 @@ class Vehicle(Shown):
     def with_parameters(self, **parameters: float) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
+        Args:
+            parameters: values [SI], or texts with a unit, such as "450 kg". Improbable values are warned of.
+
         Raises:
             InputError: a parameter is unknown or not allowed, or they are not a vehicle together.
 
@@ -154,7 +159,11 @@ class Vehicle(Shown):
             >>> heavier.parameters["sprung_mass"]
             600.0
         """
-        return self.altered(parameters).checked()
+        vehicle, known = self.altered(self.kind.check_each({**self.parameters, **parameters})).checked(), self.doubts
+        for doubt in vehicle.doubts:
+            if doubt not in known:
+                warnings.warn(doubt, stacklevel=2)
+        return vehicle
 
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
@@ -177,6 +186,11 @@ class Vehicle(Shown):
     def is_curved(self) -> bool:
         """True if a suspension has a curve that is not straight."""
         return any(each.curve.bent for each in self.fitted)
+
+    def argument_of(self, fitted: "SuspensionCurve") -> str:
+        """Returns the name of the signal on which a curve's force depends: velocity or deflection of its suspension."""
+        parts = {part.deflection: part for part in self.kind.suspensions}
+        return parts[fitted.deflection].velocity.name if fitted.damps else fitted.deflection
 
     def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
@@ -449,6 +463,17 @@ class Vehicle(Shown):
         laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
 
+    @property
+    def unladen(self) -> "Vehicle":
+        """The vehicle of its file without `[payload]`; itself if its file has no payload."""
+        from models.common.toml_edit import toml_value
+
+        data = parse_toml(self.text)
+        if not data.pop("payload", None):
+            return self
+        text = "\n".join(f"{key} = {toml_value(value)}" for key, value in data.items())
+        return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
+
     def text_for(self, path: Path) -> str:
         """Returns the text that a file needs to be this vehicle: laws in Python are named from its folder.
 
@@ -489,12 +514,11 @@ class Vehicle(Shown):
 
     @property
     def doubts(self) -> list[str]:
-        """Questions about numbers that are probably not in SI units, and remarks on its curves."""
+        """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        wheel, measured = self.kind.at_wheels(self.parameters), {part.damping for part in self.kind.suspensions} & {*self.curves}
         return [
-            *unit_doubts({name: value for name, value in wheel.items() if name not in measured}, self.limits),
+            *remarks(known_quantities(self)),
             *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
@@ -563,7 +587,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
         >>> vehicle.parameters["sprung_mass"], vehicle.linear_model.A.shape
         (504.5, (4, 4))
     """
-    path = Path(file)
+    path = path_from(file)
     if str(file) in shipped() and not path.is_file():
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")

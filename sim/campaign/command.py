@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from models.common.command import complain, versions
+from models.common.command import complain, print_json, versions
 from models.common.errors import InputError, listing
 from models.common.files import read_text
 from models.common.printed import Stages, Whole, say
@@ -96,6 +96,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         result = {
             "results": str(store.results),
             "runs": plan.count,
+            "settle": campaign.settle,
             "new": progress.done,
             "damaged": store.damaged,
             "summary": entries,
@@ -104,7 +105,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             "saved_controller": saved,
             **written(outputs),
         }
-        print(json.dumps(result, allow_nan=False))
+        print_json(result)
         return 0 if within else 1
     now = f"{progress.done} of them simulated now, {RATE.text(progress.rate)}" if progress.done else "all simulated before"
     lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
@@ -116,7 +117,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
         lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95th percentile, prediction"]
     lines += written_lines(outputs)
-    lines += compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices})
+    lines += compared_lines(campaign, standings, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
     lines += [f"saved as controller {saved}"] if saved is not None else []
     say(lines)
@@ -134,7 +135,7 @@ def check_results(options: argparse.Namespace) -> int:
     faults, again = verified["faults"], len(verified["again"])
     if options.json:
         about = {"results": str(folder), "runs": runs, "rows": verified["rows"], "seed": options.seed, "remark": remark}
-        print(json.dumps({**about, **verified, "holds": not faults}))
+        print_json({**about, **verified, "holds": not faults})
         return 1 if faults else 0
     found = [*faults, "", "the results DO NOT AGREE with the campaign"]
     if not faults:

@@ -18,7 +18,7 @@ from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.samples import Values
-from sim.command.comparison import controllers_of, warn
+from sim.command.comparison import controllers_of, say_false_claims
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
@@ -37,7 +37,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
         if len(controllers) < len(campaign.controllers):
             raise InputError(f"vehicle {name!r}: some controllers cannot be designed; remove those named above from the file")
-        warn(vehicle, controllers)
+        say_false_claims(controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle
 

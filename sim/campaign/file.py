@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.files import parse_toml, read_text
+from models.common.files import parse_toml, path_from, read_text
 from models.common.schema import SI, Integer, Key, Listed, Section, Table, read
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
@@ -128,7 +129,8 @@ def parse_campaign(text: str, path: Path) -> Campaign:
 def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     given = read("", CampaignFile, data)
-    vehicles = {name: read_vehicle(folder / name if (folder / name).is_file() else name) for name in given.vehicles}
+    files = {name: path_from(name, folder) for name in given.vehicles}
+    vehicles = {name: remarked(read_vehicle(file if file.is_file() else name)) for name, file in files.items()}
     _check_once("vehicles", given.vehicles, [Path(vehicles[name].source).resolve() for name in given.vehicles])
     controllers = tuple(unicodedata.normalize("NFC", name) for name in given.controllers)
     _check_once("controllers", controllers, controllers)
@@ -153,7 +155,7 @@ def _parse(text: str, folder: Path) -> Campaign:
     drawn = read_samples(given.samples, vehicles, controllers)
     campaign = Campaign(vehicles, controllers, roads, given.speeds, given.seeds, duration, settle, timestep, *drawn, text)
     for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, given.speeds):
-        built = road.build(vehicle, speed, campaign.seeds[0], speed * duration)
+        built = remarked(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     return campaign

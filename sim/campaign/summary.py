@@ -21,6 +21,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.batch import FAILED
 from sim.campaign.columns import EXPECTED, LINEAR
+from sim.campaign.file import Campaign
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
@@ -65,13 +66,15 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
 Standings = Mapping[str, Mapping[Candidate, Standing]]  # by vehicle
 
 
-def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
+def compared_lines(campaign: Campaign, standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
     """Returns a table of standings for each vehicle; of variants only those that have the least of something.
 
     Args:
+        campaign: the campaign, whose random roads are measured from `settle` on.
         chosen: a candidate of each vehicle that its table contains in any case.
     """
-    lines = []
+    lines, settles = [], any(road.stationary for road in campaign.roads)
+    begins = f", random roads from {campaign.settle:g} s on (settle)" if settles else ""
     for vehicle, every in standings.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:
@@ -82,7 +85,7 @@ def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None])
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
-        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, over all runs, with their largest peaks{absent}{left}")]
+        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, over all runs, with their largest peaks{begins}{absent}{left}")]
     return lines
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.printed import Whole, pasted_path
+from models.common.printed import Whole, pasted_path, show
 from models.document.document import Document, notes, statements
 from models.document.text import text_lines
 from models.roads.road import Road
@@ -46,12 +46,14 @@ def controllers_of(
     drivers: list[AnyController] = []
     errors: dict[str, InputError] = {}
     for name in names:
+        show(f"controller {name}")
         try:
             drivers.append(design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver())
         except InputError as error:
             if name not in vehicle.linear_names or len(names) == 1:
                 raise
             errors[name] = error
+    show("")
     if not drivers:
         raise next(iter(errors.values()))
     for name, error in errors.items():
@@ -79,13 +81,6 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
     """Returns the requested controllers that are not driven as a JSON object; empty if all are."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
-
-
-def warn(vehicle: Vehicle, controllers: Iterable[AnyController]) -> None:
-    """Warns on stderr of doubtful numbers of a vehicle, and as `say_false_claims` does."""
-    for doubt in vehicle.doubts:
-        complain(doubt)
-    say_false_claims(controllers)
 
 
 def say_false_claims(controllers: Iterable[AnyController]) -> None:
@@ -219,7 +214,7 @@ def run_named(
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
-    warn(vehicle, controllers)
+    say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)
 
 

@@ -1,6 +1,5 @@
 """The common part of `sim.bump` and `sim.drive`: controllers of vehicles over one road, in MuJoCo and in analysis."""
 
-import json
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
-from models.common.command import chosen_of, complain
+from models.common.command import chosen_of, complain, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.document.document import Document, Statement
@@ -104,7 +103,7 @@ def drive(
     names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
     _check_variants(options, vehicles)
     times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
-    roads = {title: road_of(vehicle, options, times[title]) for title, vehicle in vehicles.items()}
+    roads = {title: remarked(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
     time, road = next(iter(times.values())), next(iter(roads.values()))
     if rides:
         from sim.studies.ride.step_response import check_band
@@ -125,14 +124,18 @@ def drive(
         from sim.studies.ride import run_metrics, step_response
 
         pairs = [(run.vehicle, run.controller) for run in runs]
-        samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
+        samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep, options.settle)
         start, words = float(time[samples[0]]), run_metrics.measured_words(time, samples)
+        words += run_metrics.end_words(road, options.duration)
         driven = [replace(each, metrics=[run_metrics.measure_run(run, *samples) for run in each.runs]) for each in driven]
+        if road.spectrum and options.settle is None:
+            words += run_metrics.start_reason(pairs, start, options.duration)
         step = {"step": None}
         if step_response.step_of(road):
             steps = [step_response.measure_step(run, options.band) for run in runs]
             objects = [step_response.step_object(*pair) for pair in zip(runs, steps, strict=True)]
             step, response = {"step": {"band": options.band, "runs": objects}}, step_response.describe(shown, steps, options.band)
+    unstable = [run.controller.name for run in shown if run.prediction.radius > 1]
     end = float(time[-1 if samples[1] is None else samples[1] - 1])
     results = [_result(options, each, (start, None if samples[1] is None else end)) for each in driven]
     result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
@@ -150,8 +153,8 @@ def drive(
     ]
     if options.json:
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": standings_object(standings), **written(outputs), "logs": paths}
-        print(json.dumps(result | step | last, allow_nan=False))
+        last = {"compared": standings_object(standings), "unstable": unstable, **written(outputs), "logs": paths}
+        print_json(result | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
@@ -162,17 +165,19 @@ def drive(
         lines += _above(options, driven, start, end)
         if response.blocks and not options.brief:
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
-        settled = ", when all controllers have settled" if rides and road.spectrum and start < options.duration / 2 else ""
-        about = f"MuJoCo, {words}{settled}"
+        about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += f"; -v prints norms{', expected ride' if rides and road.spectrum else ''} and signals"
         lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
-        say([*lines, "", *text_lines(Document("", verdicts(shown)))])
+        lines += ["", *text_lines(Document("", verdicts(shown)))]
+        if unstable and not options.allow_unstable:
+            lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]
+        say(lines)
     for one in logs:
         comparison.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
-    return 0 if done and all(run.passed for run in runs) else 1
+    return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 
 
 def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
@@ -182,7 +187,7 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
         InputError: a vehicle file, or one that is given twice.
     """
     given = options.vehicles
-    vehicles = [read_vehicle(file) for file in given]
+    vehicles = [remarked(read_vehicle(file)) for file in given]
     if len(given) == 1:
         return {"": vehicles[0]}
     stems = [Path(file).stem for file in given]
@@ -226,12 +231,13 @@ def _result(options: Namespace, each: Driven, measured: tuple[float, float | Non
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
     if each.metrics:
         from sim.studies.ride.metrics import DEFINITIONS
-        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, roughness_object
+        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, points_end, roughness_object
 
         rows, (start, end) = zip(each.objects, each.runs, each.metrics, strict=True), measured
         result |= {
             "runs": [one | metrics_object(run, of_run) for one, run, of_run in rows],
             "measured_from": start,
+            "road_ends": points_end(road, float(time[-1])),
             **({} if end is None else {"measured_until": end}),
             "definitions": DEFINITIONS,
             "iri": roughness_object(driven_roughness(each.vehicle, road, time)),

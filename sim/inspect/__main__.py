@@ -5,12 +5,11 @@ if __name__ == "__main__":
 
     run("sim.inspect.__main__")
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.command import Parser, complain
+from models.common.command import Parser, complain, print_json
 from models.common.errors import InputError
 from models.common.printed import Whole, say
 
@@ -74,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     hold = sum(one["proves"] for one in objects)
     if options.json:
         result = objects[0] | {"csv": str(options.csv) if options.csv else None} if alone else {"logs": objects}
-        print(json.dumps(result if alone else result | {"proves": hold == len(paths)}, allow_nan=False))
+        print_json(result if alone else result | {"proves": hold == len(paths)})
     elif not alone:
         said = f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}"
         say([said] if options.verbose else ["-v prints every finding", "", said])

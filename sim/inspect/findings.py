@@ -12,7 +12,8 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference"}  # older logs may lack these
+# Older logs may lack these; the last two are of vehicles with characteristics.
+SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
 GONE = {"geometry", "otherwise", "played", "commands"}  # keys of older logs alone, or of a law that a replay does not run
 DIFFERENCES = {"half_step", "code_difference"}  # of two runs that may each be `SAME` of a peak off, and so may they
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow

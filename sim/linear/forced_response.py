@@ -19,6 +19,7 @@ from sim.linear.sampled_response import (
     road_forcing,
     taylor4,
 )
+from sim.response.jumps import with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag
@@ -36,12 +37,13 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
     loads = road.held if road.pushed else None
     outside = [] if loads is None else [model.Bh]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
+    of_heights = model.C @ model.jump + model.Cr
     jump, add = road.heights @ model.jump.T, 0.0 if loads is None else loads @ model.Dh.T
     if not vehicle.is_curved:
         push = road.midway @ Gamma_r.T + forces @ Gamma.T
         if loads is not None:
             push += loads @ Gamma_l[0].T
-        return response_of(model, road, recursion(Phi, push) + jump, forces, add)
+        return with_linear_sides(response_of(model, road, recursion(Phi, push) + jump, forces, add), road, of_heights, True)
     from sim.linear.piecewise_linear_steps import CurvedSteps
 
     steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
@@ -50,7 +52,8 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         pushed = None if loads is None else loads[k : k + 1] @ model.Bh.T
         xi[k + 1] = steps(xi[k], forces[k : k + 1], road.midway[k : k + 1], pushed=pushed)
     states = xi[:, 0] + jump
-    return response_of(model, road, states, forces, steps.beyond(states, road.heights, forces) + add)
+    response = response_of(model, road, states, forces, steps.beyond(states, road.heights, forces) + add)
+    return with_linear_sides(response, road, of_heights, True)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
@@ -63,4 +66,5 @@ def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     if road.pushed:
         loads = outside_at_samples(road)
     add = 0.0 if loads is None else loads @ model.Dh.T
-    return response_of(model, road, recursion(Phi, forcing), np.asarray(forces), add)
+    response = response_of(model, road, recursion(Phi, forcing), np.asarray(forces), add)
+    return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)

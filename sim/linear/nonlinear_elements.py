@@ -70,9 +70,7 @@ class Elements:
 def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first."""
     curved = [fitted for fitted in vehicle.fitted if fitted.curve.bent]
-    velocities = {suspension.deflection: suspension.velocity.name for suspension in vehicle.kind.suspensions}
-    over = [velocities[fitted.deflection] if fitted.damps else fitted.deflection for fitted in curved]
-    index = [model.outputs.index(name) for name in over]
+    index = [model.outputs.index(vehicle.argument_of(fitted)) for fitted in curved]
     push, outputs = vehicle.pulls_on([fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows = model.C[index]

@@ -45,13 +45,14 @@ from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import kept_signals
 from models.laws.linear import LinearLaw
-from models.roads.road import Road, RoadInput, delays, under_wheels
+from models.roads.road import RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
+from sim.response.jumps import SAME_TIME, jumps_under_wheels, with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, OpenLoop, heights_read
+from synth.controller.open_loop import LoopModel, OpenLoop, heights_read, readings_of_road
 from synth.plant.discrete import held_inputs
 
 if TYPE_CHECKING:
@@ -118,7 +119,8 @@ def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Ar
         loop: loop at the timestep of the road's samples.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
-    return sampled_responses(loop, [road], exponential).run(0)
+    model = loop.open_loop.model
+    return with_linear_sides(sampled_responses(loop, [road], exponential).run(0), road, model.C @ model.jump + model.Cr, True)
 
 
 def sampled_responses(
@@ -233,6 +235,8 @@ def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
     if loads is not None and through_readings is not None:
         inputs += loads @ through_readings.T
     response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dh.T)
+    push = model.Bw + model.B @ readings_of_road(cut, controller) if model.tyres_damp else model.Bw
+    response = with_linear_sides(response, road, (model.C + model.D @ G) @ push + model.Cr, False)
     return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
 
 
@@ -358,12 +362,6 @@ def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
     return forcing + _leaps(A, Bh[:, count:], road_input) if road.jumps and Bh[:, count:].any() else forcing
 
 
-def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
-    """Returns the jumps of a road's height: time [s], wheel by index, and how far [m]."""
-    later = enumerate(delays(road, vehicle))
-    return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
-
-
 def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
     """Returns the contribution of jumps of the road's height, as impulses of its velocity through Bw, to the step that has them.
 
@@ -377,9 +375,6 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
         if 0 <= k < len(time):
             leaps[k] += height * linalg.expm(A * max(time[k] + h - at, 0.0)) @ Bw[:, wheel]
     return leaps
-
-
-SAME_TIME = 1e-12  # relative rounding of a time over the timestep
 
 
 def outside_at_samples(road: RoadInput) -> Array:

@@ -5,8 +5,8 @@
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
 import mujoco
@@ -47,6 +47,7 @@ class Block:
         measured: signals at the controllers' samples as they are read, without noise and quantisation, then closing velocities,
             shape (B, N, s); NaN at the other timesteps.
         names: names of `measured`.
+        others: signals on the other side of vertical edges of the road, shape (S, N), by sample.
     """
 
     start: int
@@ -59,6 +60,7 @@ class Block:
     kept: Array
     measured: Array
     names: tuple[str, ...]
+    others: Mapping[int, Array] = field(default_factory=dict[int, Array])
 
     def diverged(self, time: Array) -> Array:
         """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
@@ -109,6 +111,7 @@ class BatchInputs:
             the first failure.
         held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
             (T, N, l + r); None if there are none.
+        beyond_edges: road heights on the other side of vertical edges [m], shape (N, r), by sample.
     """
 
     vehicles: Sequence[Vehicle]
@@ -122,6 +125,7 @@ class BatchInputs:
     beyond: Array | None = None
     failures: dict[int, Failure] | None = None
     held: Array | None = None
+    beyond_edges: Mapping[int, Array] = field(default_factory=dict[int, Array])
 
 
 def in_blocks(course: BatchInputs) -> Iterator[Block]:
@@ -292,7 +296,7 @@ class _Loop:
             roads, sensed = np.zeros((length, *heights.shape)), np.empty((length + 1, *sensors.shape))
             roads[..., readout.mocap], sensed[0] = midway[block], sensors
             kept, seen = np.zeros((length, count, states)), np.full((length, count, of_reading.shape[1]), np.nan)
-            acts = np.empty((length if actuators.lags else 0, *activations.shape))
+            acts, others = np.empty((length if actuators.lags else 0, *activations.shape)), dict[int, Array]()
             for i in range(length):
                 if stopped():
                     return
@@ -330,6 +334,11 @@ class _Loop:
                     heights[:, readout.mocap] = level[i]
                     batch.forward()
                     sensed[i + 1] = sensors
+                if k in course.beyond_edges:
+                    side = course.beyond_edges[k][runs][None]
+                    heights[:, readout.mocap] = side[0]
+                    batch.forward()
+                    others[k] = recorder.signals(sensors[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
                 heights[...] = roads[i]
                 batch.step(stage=self.after)
                 if not felt:
@@ -340,7 +349,7 @@ class _Loop:
             values = recorder.signals(sensed[1:], level, midway[block], before, requested, acts)
             largest, overflowed = recorder.extremes(values, requested, kept)
             positions, velocities = readings[..., :nq], readings[..., nq:moved]
-            yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names)
+            yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names, others)
 
 
 class _Recorder:

@@ -23,7 +23,7 @@ from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
-from sim.response.jumps import Jumps
+from sim.response.jumps import Jumps, vertical_edges, with_sides
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import has_anti_windup
@@ -105,7 +105,13 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
     shares = shared(len(vehicles), 1 if any(one.serial for one in controllers) else threads or cores())
     edges = (0, len(time))
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held_on(inputs))
+    jumps = [vertical_edges(road) for road in once]
+    sides = {k: now[k].copy() for one in jumps for k in one}
+    for i, one in enumerate(jumps):
+        for k, edge in one.items():
+            sides[k][i] += edge.change
+    held = held_on(inputs)
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held, beyond_edges=sides)
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -119,8 +125,10 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
     if vehicles[0].dampers:
-        jumps = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
-        response = replace(response, before={name: response[name] - jump for name, jump in jumps.items()})
+        of_forces = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
+        response = replace(response, before={name: response[name] - jump for name, jump in of_forces.items()})
+    if block.others:
+        response = with_sides(response, {k: other.T for k, other in block.others.items()})
     states = [kept_signals(range(1, one.states + 1)) for one in controllers]
     periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
     scales = [one.state_scale(period) for one, period in zip(controllers, periods, strict=True)]
@@ -149,7 +157,8 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     blocks = [replace(one, kept=np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2])))) for one in blocks]
     names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept", "measured")
     arrays = {name: np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names}
-    return Block(0, values, **arrays, names=blocks[0].names)
+    others = {k: np.concatenate([block.others[k] for block in blocks], axis=1) for k in blocks[0].others}
+    return Block(0, values, **arrays, names=blocks[0].names, others=others)
 
 
 def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:

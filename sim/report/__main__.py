@@ -7,7 +7,6 @@ if __name__ == "__main__":
 
 import argparse
 import datetime
-import json
 import re
 import shlex
 import sys
@@ -17,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from models.common.command import Parser, chosen_of
+from models.common.command import Parser, chosen_of, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, show, some_sentences
 from models.vehicle.names import PLUS, without_copies
@@ -95,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     older = _others(page, options.figures) if options.figures is not None else []
     if options.json:
         whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
-        print(json.dumps(whole, allow_nan=False))
+        print_json(whole)
     else:
         left = ["other files in figures, left unchanged", *(Whole(f"  {name}") for name in older)] if older else []
         lines = [
@@ -167,7 +166,7 @@ def _several(
     if options.json:
         whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
-        print(json.dumps({"reports": whole, "compared": standings_object(compared), **left}, allow_nan=False))
+        print_json({"reports": whole, "compared": standings_object(compared), **left})
     else:
         lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
         say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
@@ -184,7 +183,7 @@ def _reported(
 ) -> "Report":
     """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
     from models.vehicle.limits_and_implementation import steps_per_sample
-    from sim.command.comparison import controllers_of, runnable, warn
+    from sim.command.comparison import controllers_of, runnable, say_false_claims
     from sim.report.contents import pieces_of, report, stages
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
@@ -198,7 +197,7 @@ def _reported(
     road, name, duration = None, "", BUMP_DURATION
     if options.road is not None or options.road_class is not None:
         duration = options.duration
-        road = requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep))
+        road = remarked(requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep)))
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
@@ -217,7 +216,7 @@ def _reported(
         known = {one.name: one for one in controllers}
         coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
         exported = next(one for one in coded if code_of(one) is not None)
-    warn(vehicle, controllers)
+    say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     own = {"own_road": road, "road_name": name, "duration": duration}
@@ -266,7 +265,7 @@ def _gallery(options: argparse.Namespace) -> int:
     _write(page, outputs)
     stage.end()
     if options.json:
-        print(json.dumps({**gallery_object(results), **written(outputs)}, allow_nan=False))
+        print_json({**gallery_object(results), **written(outputs)})
     else:
         say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0

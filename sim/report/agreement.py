@@ -15,6 +15,7 @@ from models.document.text import names_text
 from sim.command.road_options import end_lines
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.force_diagram import Diagram, diagrams
+from sim.runs.prediction import LINEAR, NONLINEAR
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
 from sim.runs.run import Run
 from sim.runs.steps import DIFFERENCE, WHEN
@@ -112,6 +113,7 @@ def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
+    reference = NONLINEAR if scope.vehicle.is_curved else LINEAR
     linear = not (scope.vehicle.is_curved or scope.vehicle.dampers)
     prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
 
@@ -124,6 +126,11 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         Field("to sampled", lambda of: of[0].agreement.signals[of[2]].sampled, DIFFERENCE.form),
         Field("allowed", lambda of: of[0].prediction.cause or of[0].agreement.signals[of[2]].allowed, DIFFERENCE.form),
         Field("its order", lambda of: _order(*of, "sampled"), ".2f"),
+        *(
+            [Field[tuple[Run, Run | None, str]]("of the linearisation", lambda of: of[0].line_errors.get(of[2]), DIFFERENCE.form)]
+            if scope.vehicle.is_curved
+            else []
+        ),
         Field("to continuous", lambda of: of[0].agreement.signals[of[2]].continuous if linear else None, DIFFERENCE.form),
         Field("order of that", lambda of: _order(*of, "continuous") if settles(of[0]) else None, ".2f"),
     )
@@ -131,7 +138,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     texts = [
         "A run agrees if every MuJoCo step equals one RK4 step of the vehicle's equations, and every command equals the control "
         "law evaluated on the run's measurements.",
-        "The distance from linear analysis is a measurement: the largest difference until linear analysis ends, relative to the "
+        f"The distance from {reference} is a measurement: the largest difference until linear analysis ends, relative to the "
         f"signal's peak. Its order is the power of the step with which it shrinks, from {step:g} to {step / 2:g} ms.",
     ]
     if len(finer) < len(runs):
@@ -142,6 +149,11 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         texts.append(f"The sampled response has no {scope.vehicle.implementation.noise_text}; this difference has no order.")
     if any(cause.startswith("geometry") for cause in causes):
         texts.append("Linear analysis assumes small rotations; this difference shrinks with the height of the road only.")
+    if scope.vehicle.is_curved:
+        texts.append(
+            "Norms, margins and designs are those of the linearisation at equilibrium. Its error is the largest difference from "
+            "MuJoCo, relative to the peak in MuJoCo."
+        )
     if prompt and linear:
         texts.append(
             "The sampled response tends to the continuous one with order 1, as the force is held over a step; without a force, "
@@ -151,7 +163,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds what is allowed, and orders."
     )
     table = Table.of("agreement", caption, columns, pairs, words=2, pivot=Pivot(("signal",), "controller", ("to sampled",)))
-    return Document("Agreement with linear analysis", (*notes(*texts), table, energy_table(runs, scope.where)))
+    return Document(f"Agreement with {reference.partition(' with')[0]}", (*notes(*texts), table, energy_table(runs, scope.where)))
 
 
 def _order(run: Run, finer: Run | None, name: str, to: str) -> float | None:

@@ -107,22 +107,17 @@ def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
     return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in both.sides.values()]
 
 
-def over(vehicle: Vehicle, fitted: "SuspensionCurve") -> str:
-    """Returns the name of the signal on which a curve's force depends."""
-    if not fitted.damps:
-        return fitted.deflection
-    return next(suspension.velocity.name for suspension in vehicle.kind.suspensions if suspension.deflection == fitted.deflection)
-
-
 def _off_the_line(vehicle: Vehicle) -> list[Threshold]:
     """Returns thresholds at which curves leave their lines at rest: one to each side, or one of the force."""
     thresholds = []
     for fitted in vehicle.fitted:
         if fitted.surface is not None:
-            thresholds.append(Threshold(over(vehicle, fitted), 0.0, LEAVES * fitted.curve.range, damper=fitted))
+            thresholds.append(Threshold(vehicle.argument_of(fitted), 0.0, LEAVES * fitted.curve.range, damper=fitted))
             continue
         low, high = fitted.curve.left_at
-        thresholds += [Threshold(over(vehicle, fitted), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+        thresholds += [
+            Threshold(vehicle.argument_of(fitted), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf
+        ]
     return thresholds
 
 
@@ -132,7 +127,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.fitted:
-        d, v = response[fitted.deflection], response[over(vehicle, fitted)]
+        d, v = response[fitted.deflection], response[vehicle.argument_of(fitted)]
         apart = np.abs(fitted.beyond(d, v)).max(initial=0.0) / fitted.curve.range
         shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
     return shares

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import at_the_door, check_fields
+from models.common.checks import at_the_door, check_fields, plain
 from models.common.errors import InputError, listing, quoted
 from models.document.document import Document
 from models.document.text import Shown, facts
@@ -31,7 +31,8 @@ class Response(Shown):
         time: sample times [s], shape (T,).
         signals: S signals of the last axis of `values`, each with its unit.
         values: shape (..., T, S); leading axes are runs.
-        before: values just before the decisions of adjustable dampers, by name of the signals that jump there, shape (..., T).
+        before: values just before the decisions of adjustable dampers, and on the other side of vertical edges of the road, by
+            name of the signals that jump there, shape (..., T).
 
     Raises:
         InputError: the shapes do not fit.
@@ -118,11 +119,12 @@ class Response(Shown):
         """Returns True if a single run of physics ended because the states of its law diverged; see `PhysicsRuns.kept`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
-    def peak(self, signal: str) -> Array:
-        """Returns the largest magnitude of a signal, on both sides of its jumps, shape (...,); NaN if a run broke off (see
-        `sim.physics.simulate`).
+    def peak(self, signal: str) -> Any:
+        """Returns the largest magnitude of a signal, on both sides of its jumps; NaN if a run broke off.
+
+        The peak of a single run is a float; several runs have an array of shape (...,).
         """
-        return self._peaks[..., self._column(signal)]
+        return plain(self._peaks[..., self._column(signal)])
 
     @cached_property
     def _peaks(self) -> Array:
@@ -139,13 +141,16 @@ class Response(Shown):
         thousandth of the loudest signal of its unit.
         """
         unit = self.signals[self._column(signal)].unit
-        loudest = max(float(self.peak(other.name)) for other in self.signals if other.unit == unit)
-        return max(float(self.peak(signal)), SILENT * loudest)
+        loudest = max(self.peak(other.name) for other in self.signals if other.unit == unit)
+        return max(self.peak(signal), SILENT * loudest)
 
-    def rms(self, signal: str) -> Array:
-        """Returns the root mean square of a signal over the whole response, of both sides of its jumps, shape (...,)."""
+    def rms(self, signal: str) -> Any:
+        """Returns the root mean square of a signal over the whole response, of both sides of its jumps.
+
+        The value of a single run is a float; several runs have an array of shape (...,).
+        """
         after = self[signal] ** 2
-        return np.sqrt(np.mean((after + self.before[signal] ** 2) / 2 if signal in self.before else after, axis=-1))
+        return plain(np.sqrt(np.mean((after + self.before[signal] ** 2) / 2 if signal in self.before else after, axis=-1)))
 
     def to_pandas(self) -> "pd.DataFrame":
         """Returns one run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.

@@ -10,7 +10,6 @@ from models.common.arrays import Array
 from models.document.figure import Dash
 from models.kinds.signals import Signal
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import over
 from sim.response.response import Response
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
 
 
 def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
-    signal = vehicle.kind.signal(over(vehicle, one))
+    signal = vehicle.kind.signal(vehicle.argument_of(one))
     actuator = next(each.force for each in vehicle.kind.suspensions if each.deflection == one.deflection)
     damper = one.damps
     pushed = damper and actuator in vehicle.linear_model.inputs

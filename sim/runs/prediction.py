@@ -1,10 +1,12 @@
 """Linear responses for one vehicle with one controller over one road, beside which a run of MuJoCo is measured.
 
-They are linear except for the characteristics of dampers and springs: `sampled` and `integrated` follow these.
+They are linear except for the characteristics of dampers and springs: `sampled` and `integrated` follow these. Norm, margins and
+designs are those of the linearisation at equilibrium, whose response is `linearised`.
 """
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +23,9 @@ from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
+
+
+LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characteristics"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,23 @@ class Prediction:
     def is_linear(self) -> bool:
         """Returns True if there is a sampled response."""
         return _has_response(self.vehicle, self.controller)
+
+    @property
+    def reference(self) -> str:
+        """Names the response with which a run is compared."""
+        return NONLINEAR if self.vehicle.is_curved else LINEAR
+
+    @cached_property
+    def linearised(self) -> Response | None:
+        """The same sampled response with the line at equilibrium of every characteristic; None if nothing differs from lines."""
+        if not (self.vehicle.is_curved and self.is_linear):
+            return None
+        road = RoadInput(self.vehicle.linearised, self.road, self.time)
+        if isinstance(self.controller, Controller):
+            return sampled_response(LoopModel(road.vehicle, self.controller, self.timestep), road)
+        from sim.linear.forced_response import forced_response
+
+        return forced_response(self.requested_force, road)
 
     @property
     def cause(self) -> str:

@@ -36,7 +36,7 @@ from sim.response.regime import (
 from sim.response.response import Response
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
-from sim.runs.result import RunResult
+from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController, Controller, has_anti_windup
@@ -59,7 +59,8 @@ from synth.controller.report import notes as controller_remarks
 LOST = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
-NUMBERS = re.compile(r"(until|at) ([\d.e+-]+) s\b")
+NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
+LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
 ENERGY: tuple[Field[Energy], ...] = (
     *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
@@ -67,6 +68,7 @@ ENERGY: tuple[Field[Energy], ...] = (
     RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
+FAR_OFF = 100.0  # peaks: a larger error of a linearisation is that of an unstable loop
 HALF = 0.5  # of the requested force: if dampers miss more, linear analysis says little about the run
 COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 OF_CODE = Field[str]("difference", str, ".2g")
@@ -100,7 +102,8 @@ def run_object(run: RunResult) -> dict[str, Any]:
                 "unit": run.vehicle.kind.signal(name).unit,
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
+                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)}
+                | ({"linearisation": finite(run.line_errors[name])} if run.line_errors else {}),
             }
             for name, signal in agreement.signals.items()
         },
@@ -110,12 +113,29 @@ def run_object(run: RunResult) -> dict[str, Any]:
         "steps": _check_object(agreement.steps, "error", "allowed", "since", "until"),
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
+        **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
         **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **code_object(run.prediction.code_effect),
         **({"margins": law_margins(run.vehicle, run.controller).record} if isinstance(run.controller, Controller) else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
     }
+
+
+def _line_object(run: RunResult) -> dict[str, Any] | None:
+    """Returns the largest error of the linearisation at equilibrium as a JSON object, or None if nothing is compared."""
+    if not (errors := run.line_errors):
+        return None
+    worst = max(errors, key=errors.__getitem__)
+    return {"error": finite(errors[worst]), "signal": worst, "over": "peak in MuJoCo"}
+
+
+def line_words(run: RunResult) -> str:
+    """Returns how far the linearisation at equilibrium is off; empty for a vehicle without characteristics."""
+    if not (errors := run.line_errors):
+        return ""
+    off = max(errors.values())
+    return f"off by {percent(off)} of a peak" if off < FAR_OFF else f"off by more than {FAR_OFF:g} times a peak"
 
 
 def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | bool | None] | None:
@@ -162,6 +182,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
     if not isinstance(controller, Controller):
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
+        forced = [one + "; sampled has the characteristics, too" * vehicle.is_curved for one in forced]
         return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -207,14 +228,19 @@ def verdict(run: RunResult) -> Statement:
     if code is not None and not code.agrees:
         words.append("exported code DOES NOT AGREE with the control law")
     if not agreement.follows_linear:
-        words.append(f"MuJoCo DOES NOT AGREE with linear analysis {_when(run)}")
+        words.append(f"MuJoCo DOES NOT AGREE with {run.prediction.reference} {_when(run)}")
     if not words and not agreement.agrees:
         words.append("NOTHING WAS COMPARED with the model")
     if not words:
-        linear = f"linear analysis applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
-        words += ["MuJoCo agrees with the model", linear]
+        reference = f"{run.prediction.reference} applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
+        if run.prediction.is_linear and agreement.until <= 0:
+            reference = f"nothing is compared with {run.prediction.reference}, which applies {_when(run)}"
+        words += ["MuJoCo agrees with the model", reference]
+        words += [f"its linearisation at equilibrium is {off}"] if (off := line_words(run)) else []
+    if commands is not None and not commands.repeatable:
+        words.append("no command is compared, because the control law is not repeatable")
     if agreement.coarse or (energy is not None and not energy.judged):
-        words.append("the timestep is too coarse for accurate numbers")
+        words.append(COARSE)
     if energy is not None:
         words.append(f"energy {energy.verdict}")
     if run.broke_off is not None and not run.prediction.is_linear:
@@ -254,15 +280,15 @@ def shared(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Stat
     pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
     few = len({name for name, _ in pairs}) <= FEW
     for name, one in pairs:
-        times = [] if few else [when for _, when in NUMBERS.findall(one.text)]
-        pattern = one if few else replace(one, text=NUMBERS.sub(r"\1 ... s", one.text))
+        times = [] if few else [number for _, number, _ in NUMBERS.findall(one.text)]
+        pattern = one if few else replace(one, text=NUMBERS.sub(r"\1 ... \3", one.text))
         alike.setdefault(pattern, []).append((name, times))
     statements = []
     for one, some in alike.items():
         text = one.text
         for times in zip(*(times for _, times in some), strict=True):
             first, last = min(times, key=float), max(times, key=float)
-            text = text.replace("... s", f"{first} s" if first == last else f"{first} to {last} s", 1)
+            text = LEFT_OUT.sub(first if first == last else f"{first} to {last}", text, count=1)
         statements.append(replace(one, text=f"{where}{joined_names([name for name, _ in some])}: {text}"))
     return tuple(statements)
 
@@ -339,7 +365,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
     steps, commands, code = run.agreement.steps, run.agreement.commands, run.agreement.code_effect
     if steps is None:
         small = any(signal.small is not None for signal in run.agreement.signals.values())
-        first_order = "; the run is compared with linear analysis to first order" if small else ""
+        first_order = f"; the run is compared with {run.prediction.reference} to first order" if small else ""
         yield Statement(f"no time step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
     elif steps.until > 0:
         wrong = f"DOES NOT AGREE from {WHEN.text(steps.since)} on: not every MuJoCo step"
@@ -347,8 +373,7 @@ def _checks(run: RunResult) -> Iterator[Statement]:
         what = f"equals one RK4 step of the vehicle's equations of motion from the same state{end}"
         yield _check("every MuJoCo step" if steps.agrees else wrong, what, steps)
     if commands is not None and not commands.repeatable:
-        text = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
-        yield Statement(text, "note" if commands.agrees else "fails")
+        yield Statement(NOT_REPEATABLE, "note" if commands.agrees else "fails")
     elif commands is not None:
         subject = "every command" if commands.agrees else "COMMANDS DO NOT AGREE: not every command"
         yield _check(subject, "equals the control law evaluated on the run's measurements", commands)
@@ -368,12 +393,14 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
         return
     if agreement.until <= 0:
-        yield Statement(f"nothing is compared with linear analysis, which applies {_when(run)}")
+        yield Statement(f"nothing is compared with {run.prediction.reference}, which applies {_when(run)}")
         return
     wrong = [name for name, signal in signals.items() if not signal.agrees]
     worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
     signal, small = signals[worst], ""
-    what = "the exact linear response to the forces of the law" if isinstance(run.controller, Programmed) else "linear analysis"
+    what, curved = run.prediction.reference, run.vehicle.is_curved
+    if isinstance(run.controller, Programmed):
+        what = f"the exact {'nonlinear' if curved else 'linear'} response to the forces of the law"
     size = DIFFERENCE.digits(signal.sampled)
     if signal.small is not None:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
@@ -384,6 +411,12 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         yield Statement(
             f"{what} is within {size} of every peak{small} {_when(run)}; "
             f"the difference comes from {agreement.cause} (worst: {worst})"
+        )
+    if off := line_words(run):
+        name = max(run.line_errors, key=run.line_errors.__getitem__)
+        yield Statement(
+            f"the linearisation at equilibrium, on which norm, margins and designs are based, is {off} in MuJoCo {_when(run)} "
+            f"(worst: {name})"
         )
     if agreement.coarse:
         yield Statement(
@@ -466,6 +499,11 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     from sim.runs.dampers import shortfalls
 
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.adjustable}, list[str](), 0.0
+    delayed = ["delay"] * bool(run.vehicle.implementation.delay)
+    delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
+    if delayed:
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)}"
+        texts.append(f"{acts} on the damping coefficient, not on the force, which follows the present suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:

@@ -1,7 +1,11 @@
 """Results of runs: physics, its prediction, and their comparison."""
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from models.common.arrays import Array
 from models.roads.road import Road
@@ -12,6 +16,13 @@ from sim.response.response import Response
 from sim.runs.agreement import Agreement
 from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController
+
+COARSE = "the timestep is too coarse for accurate numbers"
+NOT_REPEATABLE = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
+ADVICE = {  # reasons for which a run is undecided, and what to do
+    COARSE: "give a smaller timestep",
+    NOT_REPEATABLE: "seed its random numbers, and keep its state in `state`, or reset the state in a method reset()",
+}
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,7 @@ class RunResult:
     """Run of physics with its prediction.
 
     Attributes:
-        prediction: linear analysis of this vehicle, controller and road.
+        prediction: responses by analysis of this vehicle, controller and road.
         physics: the response in MuJoCo.
         agreement: physics against analysis.
         qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run without its energy balance.
@@ -74,7 +85,7 @@ class RunResult:
 
     @property
     def sampled(self) -> Response:
-        """Exact linear response of the sampled loop."""
+        """Exact response of the sampled loop: linear, except for characteristics."""
         return self.prediction.sampled
 
     @property
@@ -82,17 +93,44 @@ class RunResult:
         """Exact linear response of the continuous closed loop."""
         return self.prediction.continuous
 
+    @cached_property
+    def line_errors(self) -> Mapping[str, float]:
+        """Largest difference of the linearisation at equilibrium from MuJoCo, over MuJoCo's peak, by signal.
+
+        It is measured until linear analysis ends otherwise, and empty for a vehicle without characteristics, or without a sampled
+        response.
+        """
+        if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
+            return {}
+        line, physics = (one.until(self.agreement.until) for one in (line, self.physics))
+        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable line
+            apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in self.agreement.signals}
+            return {name: one / (physics.scale(name) or 1.0) for name, one in apart.items()}
+
     @property
     def diverged(self) -> float:
         """Time at which the physics diverged [s]; infinite if it did not."""
         return self.physics.diverged
 
     @property
-    def agrees(self) -> bool:
-        """Returns True if physics agrees with its analysis, for as long as that applies."""
-        return self.agreement.agrees
+    def undecided(self) -> tuple[str, ...]:
+        """Reasons for which the checks cannot confirm the run: a timestep that is too coarse, or a law that is not repeatable."""
+        commands = self.agreement.commands
+        coarse = self.agreement.coarse or (self.energy is not None and not self.energy.judged)
+        return (*[COARSE] * coarse, *[NOT_REPEATABLE] * (commands is not None and not commands.repeatable))
+
+    @property
+    def agrees(self) -> bool | None:
+        """True if physics agrees with its analysis, for as long as that applies; None if the run is `undecided`."""
+        return None if self.agreement.agrees and self.undecided else self.agreement.agrees
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """Remarks on the run and on its road."""
+        yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
+        yield from self.road.doubts
 
     @property
     def passed(self) -> bool:
-        """Returns True if physics agrees with its analysis, and its energy balances, if that is known and judged."""
-        return self.agrees and (self.energy is None or not self.energy.fails)
+        """Returns True if no check contradicts the analysis, and the energy balances, if that is known and judged."""
+        return self.agreement.agrees and (self.energy is None or not self.energy.fails)

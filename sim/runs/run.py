@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.plausibility import remarks
 from models.document.document import Block, Document
 from models.document.figure import BLUE, Figure, Style
 from models.document.text import Shown, facts
@@ -16,6 +17,7 @@ from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
+from models.vehicle.sections import known_quantities
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep
 from sim.physics.energy import energy
@@ -48,6 +50,7 @@ class Run(RunResult, Shown):
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
             "time": f"{self.physics.time[-1]:g} s at {self.physics.time[1]:g} s",
+            **({"undecided": "; ".join(self.undecided)} if self.undecided else {}),
         }
         return facts(f"run of {self.controller.name}: {verdict(self).text}", rows)
 
@@ -91,6 +94,8 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
                 "smaller timestep or bandwidth"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
+        if improbable := remarks(known_quantities(vehicle)):
+            raise InputError(f"timestep = {timestep} s is too large: {above}; {improbable[0]}")
         instead = "give 0.001, for example" if largest > 1e-3 else f"give a smaller timestep{units if largest < STIFF else ''}"
         raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")
     if duration < 2 * timestep:
@@ -171,7 +176,7 @@ def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) 
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
-        effect = code_effect(one.controller, physics.run(i), law_run.physics, names, until, law_run.agrees)
+        effect = code_effect(one.controller, physics.run(i), law_run.physics, names, until, law_run.agreement.agrees)
         whole[i] = replace(one, code_effect=effect)
     return whole
 

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 
 SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # of the sampled loop, for controllers of any order
+VEHICLE = "vehicle"  # numbers of the vehicle that was certified, by section of its file
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
-PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF)
+PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF, VEHICLE)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them

@@ -14,6 +14,7 @@ from synth.command.table import Row
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import false_sampled_bound
 from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_or_failure, notes_on_sampled_loop
+from synth.vehicle.certified_vehicle import changed_since
 from synth.vehicle.designer import Designer
 
 
@@ -49,6 +50,9 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures = (*failures_of_sampled_loop(designer.vehicle, certificate, failures, norm), *why)
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
+    others = (certificate.stability.words, *controller.unmet_specifications, *why)
+    if entry.certificate and {*failures} - {*others} and (changed := changed_since(designer.vehicle, entry)):
+        failures = (changed, *(each for each in failures if each in others))
     note = "checked: every claim of the saved certificate holds" if entry.certificate and not failures else ""
     note = note or ("its saved certificate does not hold" if entry.certificate else "the file has no certificate for it")
     said = (*judged_lines(controller), *controller.remarks, *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)

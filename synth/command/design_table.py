@@ -1,6 +1,5 @@
 """The design table of a vehicle file: every controller designed or checked, how good it is, and what no controller changes."""
 
-import json
 import math
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from models.common.command import print_json
 from models.common.errors import InputError
 from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
 from models.document.document import Block, Document, Statement, Table, notes
@@ -27,7 +27,7 @@ from synth.design.descent.flatness import free_moves
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
+from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
 FREE = "limits for every controller"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
@@ -79,7 +79,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         bounds = {row.name: row.sampled_below for row in designs.rows}
         save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
     if options.json:
-        print(json.dumps(designs_object(designs, outputs), allow_nan=False))
+        print_json(designs_object(designs, outputs))
     else:
         say(answer_lines(designs, options, outputs))
     return 1 if any(row.failures for row in designs.rows) else 0
@@ -87,8 +87,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
     """Designs or checks the controllers, with everything that the options request."""
-    designer, stage = Designer(vehicle), Stages(*(f"controller {name}" for name in names), FREE)
+    stages = ["saved claims"] if options.check else [f"controller {name}" for name in names]
+    designer, stage = Designer(vehicle), Stages(*stages, FREE)
     if options.check:
+        stage(stages[0])
         from synth.command.check import check
 
         rows = check(designer, options.controller)
@@ -228,7 +230,8 @@ def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict
         "vehicle": designs.vehicle.kind.name,
         "controllers": [row_object(row) for row in designs.rows],
         "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive},
+        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
+        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.is_curved else {}),
         "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
         **written(outputs),
     }
@@ -278,19 +281,28 @@ def document(designs: Designs, options: Namespace) -> Document:
 def _rides(designs: Designs) -> list[Statement]:
     """Returns the expected ride of every controller, and those that ride worse than the passive suspension."""
     rides, passive = {row.name: row.ride for row in designs.rows if row.ride is not None}, designs.passive
+    without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     if not rides:
-        return []
+        return [*notes(*without)]
     rides = ({"passive": passive} if passive is not None else {}) | rides
     changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
     given = ", if dampers give every force" if designs.vehicle.dampers else ""
-    loop = f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}"
+    loop = (
+        f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{f', by {METHOD}' * designs.vehicle.is_curved}"
+    )
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
     if worse:
         said.append(f"The ride is WORSE than passive: {', '.join(worse)}. A small norm alone does not make a car comfortable.")
-    return [*notes(*said, detail="brief")]
+    return [*notes(*said, *without, detail="brief")]
+
+
+def _without_ride(designs: Designs) -> dict[str, str]:
+    """Returns the stable controllers without an expected ride, each with the reason."""
+    some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
+    return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
 def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:

@@ -1,6 +1,5 @@
 """`python -m synth --export` and `--check DIR`: controllers as a folder of C99, an FMU or a file for MATLAB, and their check."""
 
-import json
 import math
 import subprocess
 import tempfile
@@ -9,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.command import ALL, chosen, one_chosen
+from models.common.command import ALL, chosen, one_chosen, print_json
 from models.common.errors import InputError, listing
 from models.common.files import made_folder, together, whole_file
-from models.common.printed import say
+from models.common.printed import Whole, pasted_path, say, show
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.command.save import SUFFIX, left_out_lines, saved_text
@@ -39,7 +38,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
     studied = [name for name in names if options.controller in (None, [ALL]) or name in options.controller]
     if options.json:
-        print(json.dumps(record, allow_nan=False))
+        print_json(record)
     else:
         say([*lines, *(f"{name}: {STUDY}" for name in studied)])
     return 0
@@ -90,7 +89,8 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
         f"controller {law.controller} as C99 code with {options.numbers} numbers; its names begin with {law.name}",
         *(f"  {path}" for path in texts),
         "",
-        f"written to {folder}; its README.md shows how to call the code, and python -m synth --check {folder} verifies the files",
+        f"written to {folder}; its README.md shows how to call the code. This command verifies the files:",
+        Whole(f"  python -m synth --check {pasted_path(folder)}"),
     ]
 
 
@@ -157,7 +157,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         *(f"  in   {one.name} [{one.unit}]" for one in model.inputs),
         *(f"  out  {one.name} [{one.unit}]" for one in model.outputs),
         "",
-        f"communication step size: {'any' if model.period is None else f'{model.period:g} s'}",
+        f"communication step size: {'any' if model.period is None else f'{model.period:g} s, the period of the discrete law'}",
         f"binaries: {listing(made.platforms)}" if made.platforms else "",
         made.missing,
     ]
@@ -187,7 +187,10 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
     name, saved, own = _one(vehicle, options, vehicle.linear_names, "--part loop exports the loop of one controller")
     controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
     identifier = f"{c_name(kind)}_{c_name(name)}"
-    title = f"{kind}, linear, with controller {own} in continuous time"
+    law = f"controller {own} in continuous time"
+    if isinstance(controller, Controller) and controller.law.sample_period is not None:
+        law = f"the continuous counterpart (Tustin's method) of the discrete controller {own}"
+    title = f"{kind}, linear, with {law}"
     model = linear_model(identifier, title, loop_system(saved, controller))
     return model, {VEHICLE: saved.text}, _about(model)
 
@@ -213,7 +216,9 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
         )
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
         return vehicle, name
+    show(f"controller {name}")
     controller = Designer(vehicle).design(name)
+    show("")
     if not isinstance(controller, Controller) or not controller.designed:
         return vehicle, name
     check_feedback_alone(controller, "an export")
@@ -262,7 +267,7 @@ def check_folder(folder: Path, options: Namespace) -> int:
     verdict += "" if isinstance(claims, str) else f"; ITS CLAIMS FAIL: {'; '.join(claims)}"
     failures += [] if isinstance(claims, str) else claims
     if options.json:
-        print(json.dumps({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran}))
+        print_json({"folder": str(folder), "controller": name, "failures": failures, "back_to_back": ran})
     else:
         claimed = claims if isinstance(claims, str) else "claims of the certificate do not hold"
         say([f"controller {name} as C99 in {law.numbers}", f"  {claimed}", f"  {ran}", "", verdict])

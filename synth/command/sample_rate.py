@@ -1,10 +1,10 @@
 """`python -m synth --rates`: what slower computers cost controllers, as a table, a picture and one JSON object."""
 
-import json
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 
+from models.common.command import print_json
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from models.document.outputs import check_outputs, written, written_lines
@@ -66,7 +66,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.json:
         rows = [cost_object(one) for one in chosen]
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
-        print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
+        print_json({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)})
     else:
         document = describe(chosen, built_words(replace(vehicle, implementation=Implementation())))
         wrong = [f"controller {name} NOT DESIGNED: {reason}" for name, reason in undesigned.items()]

@@ -12,9 +12,10 @@ from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.bounding import roomy_proof
 from synth.analysis.lower_bound import SampledBound
-from synth.analysis.record import bound_record, to_record
+from synth.analysis.record import VEHICLE, bound_record, to_record
 from synth.controller.controller import SUFFIX, Controller, check_feedback_alone
 from synth.controller.report import norm_or_failure, norm_record
+from synth.vehicle.certified_vehicle import vehicle_record
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
@@ -77,9 +78,10 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
-    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(vehicle.driven_by(controller.name), controller)
+    own = vehicle.driven_by(controller.name)
+    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(own, controller)
     checkable = replace(controller.certificate, proof=roomy_proof(controller.certificate))
-    record = to_record(checkable) | norm_record(norm) | bound_record(sampled_bound)
+    record = to_record(checkable) | norm_record(norm) | bound_record(sampled_bound) | {VEHICLE: vehicle_record(own)}
     asked = vehicle.controllers.get(controller.name)
     goals = asked.goals.record if asked is not None and asked.goals is not None else {}
     if asked is not None and asked.errors is not None:

@@ -1,11 +1,10 @@
 """`python -m synth --front`: a trade-off as a table, a picture, CSV, controllers in a vehicle file, and one JSON object."""
 
-import json
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 
-from models.common.command import one_chosen
+from models.common.command import one_chosen, print_json
 from models.common.errors import InputError
 from models.common.files import together
 from models.common.printed import Stages, say, titled
@@ -50,7 +49,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     except DesignError as error:
         stage.end()
         if options.json:
-            print(json.dumps({"vehicle": vehicle.kind.name, "controller": name, "reason": str(error)}))
+            print_json({"vehicle": vehicle.kind.name, "controller": name, "reason": str(error)})
         else:
             say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
@@ -67,7 +66,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     stage.end()
     outputs["saved"] = options.save
     if options.json:
-        print(json.dumps({"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs)}, allow_nan=False))
+        print_json({"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs)})
     else:
         title = titled(vehicle.kind.name, vehicle.source)
         document = replace(describe(trade_off, most=MARKED if options.verbose else SHOWN), title="")

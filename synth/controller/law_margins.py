@@ -23,7 +23,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name, by_text, rough
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController, Controller
-from synth.controller.disk_margin import disk_margin
+from synth.controller.disk_margin import DiskMargin, disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
@@ -65,13 +65,13 @@ class LawMargins:
     @property
     def pair(self) -> str:
         """Gain and disk margin as a pair, "-" for a gain margin that is not small."""
-        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{self.disk:#.2g}"
+        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{_disk(self.disk or 0.0)}"
 
     @property
     def small(self) -> str:
         """The margins that are small, in words; empty without any."""
         texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
-        texts += [f"disk margin {self.disk:#.2g}"] if self.disk is not None and self.disk < LEAST_DISK else []
+        texts += [f"disk margin {_disk(self.disk)}"] if self.disk is not None and self.disk < LEAST_DISK else []
         return ", ".join(texts)
 
     @property
@@ -143,6 +143,17 @@ def _first_unstable(loop: LoopTransfer, factors: Array, without: float) -> float
 
 
 def _factor(factor: float) -> str:
-    """Returns a factor with two digits of its distance from 1, at most six behind the point."""
+    """Returns a factor with two digits of its distance from 1, at most six behind the point, and in dB."""
     distance = abs(factor - 1)
-    return f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"
+    digits = f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"
+    return f"{digits} ({gain_in_db(factor):.2g} dB)"
+
+
+def gain_in_db(factor: float) -> float:
+    """Returns a factor above 0 in dB."""
+    return 20 * math.log10(factor)
+
+
+def _disk(size: float) -> str:
+    """Returns a disk margin, and the largest turn of all forces in degrees."""
+    return f"{size:#.2g} ({math.degrees(DiskMargin(size, math.nan).phase):.2g}°)"

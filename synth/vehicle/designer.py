@@ -290,6 +290,10 @@ class Designer:
         if wrong and not certificate.stable:  # sampling may cure it
             cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
             wrong = tuple(each for each in wrong if each not in cured)
+        if wrong:
+            from synth.vehicle.certified_vehicle import changed_since
+
+            wrong = (changed,) if (changed := changed_since(self.vehicle, entry)) else wrong
         return replace(controller, false_claims=wrong)
 
     def _named(

@@ -7,10 +7,12 @@ to the road under every wheel, e of the road to two independent white sources, a
 
     mean square = G_v integral of |W_k H e|^2 df.
 
-The loop is continuous, without limits, and gives every force; `sim.drive` computes the ride of the sampled-data loop.
+The loop is continuous, without limits, and gives every force; `sim.drive` computes the ride of the sampled-data loop. Straight
+lines replace curves of dampers and springs: not those at equilibrium, which are of much smaller motions, but those of
+statistical linearisation on this road (`synth/controller/equivalent_line.py`).
 """
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,9 +26,11 @@ from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
+from synth.controller.equivalent_line import equivalent_line
 from synth.controller.open_loop import continuous, readings_of_road
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
+METHOD = "statistical linearisation"  # of a vehicle with curves
 WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
@@ -34,34 +38,60 @@ WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
     """Returns the expected weighted rms acceleration at the vehicle's worst point on an average road [m/s2], or None.
 
-    It is None if the ideal loop is not stable, or no vertical acceleration of the body is a signal.
+    It is None if the ideal loop is not stable, no vertical acceleration of the body is a signal, or no equivalent line exists.
     """
+    felt = _felt(vehicle)
+    if not felt or not controller.certificate.stable:
+        return None
+    if vehicle.is_curved:
+        line = equivalent_line(vehicle, controller, lambda car, signals: _deviations(car, controller, signals))
+        if line is None:
+            return None
+        vehicle = line.vehicle
+    ride = _deviations(vehicle, controller, felt, WEIGHTED)
+    return None if ride is None else float(ride.max())
+
+
+def no_line(vehicle: Vehicle, controller: Controller) -> str:
+    """Returns the reason for which a stable loop has no expected ride; empty if the reason is another one."""
+    curved = vehicle.is_curved and controller.certificate.stable and _felt(vehicle)
+    return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
+
+
+def _felt(vehicle: Vehicle) -> list[str]:
+    """Returns the names of the body's vertical accelerations."""
+    outputs, unsprung = vehicle.linear_model.outputs, UNSPRUNG_ACCELERATION.name
+    return [name for name in outputs if vehicle.kind.signal(name).unit == "m/s2" and not name.startswith(unsprung)]
+
+
+def _deviations(
+    vehicle: Vehicle, controller: Controller, signals: Sequence[str], weighting: Filter | None = None
+) -> Array | None:
+    """Returns the rms values of output signals of a linear vehicle over an average road, shape (k,); None if it is unstable."""
     cut = continuous(vehicle, controller)
     model = cut.model
     loop = model.A + model.B @ cut.G
-    rows = [
-        i
-        for i, name in enumerate(vehicle.linear_model.outputs)
-        if vehicle.kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
-    ]
+    rows = [model.outputs.index(name) for name in signals]
     poles = np.linalg.eigvals(loop)
-    if not rows or not controller.certificate.stable:
+    if poles.real.max() >= 0:
         return None
     road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
     C, Cr, felt = (model.C + model.D @ cut.G)[rows], model.Cr[rows], readings_of_road(cut, controller)
     Bw, Dw = model.Bw + model.B @ felt, (model.Dw + model.D @ felt)[rows]
 
     def spectra(omega: Array) -> Array:
-        """Returns the spectra of the weighted accelerations over the road's, shape (F, a)."""
+        """Returns the spectra of the signals over the road's, shape (F, k)."""
         s = 1j * omega[:, None, None]
         response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, Bw + model.Br / s) + Dw + Cr / s
         if controller.preview is not None:
             ahead, B, D = controller.preview.response(omega), model.B[:, : cut.forces], model.D[rows, : cut.forces]
             response = response + C @ np.linalg.solve(s * np.eye(len(loop)) - loop, B @ ahead) + D @ ahead
-        weighted = WEIGHTED.response(omega)[:, None, None] * (response @ sources(vehicle, road, omega))
-        return np.sum(np.abs(weighted) ** 2, axis=-1)
+        amplitude = response @ sources(vehicle, road, omega)
+        if weighting is not None:
+            amplitude = weighting.response(omega)[:, None, None] * amplitude
+        return np.sum(np.abs(amplitude) ** 2, axis=-1)
 
-    filter_poles = np.concatenate([np.roots(below) for _, below in WEIGHTED.sections])
-    every = np.concatenate([poles, filter_poles])
+    filter_poles = [np.roots(below) for _, below in weighting.sections] if weighting is not None else []
+    every = np.concatenate([poles, *filter_poles])
     band = sample_band(spectra, lambda _, value: value, *road.band, every, longest_panel(vehicle, SPEED, controller.ahead))
-    return math.sqrt(road.density * float((band.share @ band.values).max()))
+    return np.sqrt(road.density * (band.share @ band.values))

@@ -175,14 +175,21 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
 
 
 def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
-    """Positive feedback of the body's velocity that just outweighs the damper: no norm, called unstable, and run."""
+    """Positive feedback of the body's velocity that outweighs the damper: no norm, run, and exit code 1 unless it is allowed."""
     vehicle = vehicle_with(tmp_path, 450.0)
-    result = answer(capsys, main, "--controller", "mine", "--no-logs", "--vehicle", vehicle)
+    result = answer(capsys, main, "--controller", "mine", "--no-logs", "--vehicle", vehicle, code=1)
     (run,) = result["runs"]
+    assert result["unstable"] == ["mine"]
     assert run["agrees"] is True
     assert (run["controller"]["norm"], run["controller"]["peak_frequency"]) == (None, None)
-    main(["--controller", "mine", "--controller", "passive", "--duration", "0.5", "--no-logs", "--vehicle", vehicle, "--brief"])
-    assert "mine: UNSTABLE loop; MuJoCo agrees" in prose(capsys.readouterr().out)
+    both = ["--controller", "mine", "--controller", "passive", "--duration", "0.5", "--no-logs", "--vehicle", vehicle, "--brief"]
+    assert main(both) == 1
+    text = prose(capsys.readouterr().out)
+    assert "mine: UNSTABLE loop; MuJoCo agrees" in text
+    assert text.endswith("exit code 1, because a closed loop is unstable (mine); --allow-unstable permits this")
+    assert main([*both, "--allow-unstable"]) == 0
+    assert "exit code" not in capsys.readouterr().out
+    assert main(both[2:]) == 0  # the passive vehicle alone
 
 
 @pytest.mark.parametrize(("gain", "continuous_is_stable"), [("1e5", False), ("-1e7", True), ("1e12", False)])
@@ -190,16 +197,15 @@ def test_a_diverging_run_stops_cleanly(tmp_path, monkeypatch, capfd, gain, conti
     """A wildly unstable gain: JSON has nulls for physics, the table dashes, stderr nothing, and no file is left but logs."""
     monkeypatch.chdir(tmp_path)
     arguments = ["--controller", "mine", "--vehicle", vehicle_with(tmp_path, gain)]
-    code = main([*arguments, "--no-logs", "--json"])
+    assert main([*arguments, "--no-logs", "--json"]) == 1
     out, err = capfd.readouterr()  # what MuJoCo itself writes is in it
     (run,) = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))["runs"]
     # Until it diverged, MuJoCo did what the analysis says, unless it did so at once: then nothing was compared.
-    assert code == (run["until"] == 0)
     assert run["agrees"] == (run["until"] > 0)
     assert (run["controller"]["norm"] is not None) == continuous_is_stable  # -1e7 is too fast for the sampling only
     assert {entry["peak"]["mujoco"] for entry in run["signals"].values()} == {None}
     logged = gain == "1e5"
-    assert main([*arguments, *(["--logs", "."] if logged else ["--no-logs"]), "-v"]) == code
+    assert main([*arguments, *(["--logs", "."] if logged else ["--no-logs"]), "-v", "--allow-unstable"]) == (run["until"] == 0)
     out, more = capfd.readouterr()
     table = out.partition("Signals\n")[2].partition("\n\n")[0]
     rows = re.findall(r"\b(?:peak|rms) +(-|[-+.\de]+) +(\S+) +(\S+)", table)

@@ -107,10 +107,14 @@ def test_a_road_that_ends_before_its_run_or_after_it(capsys, tmp_path, duration,
     path = tmp_path / "road.csv"
     path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(201)))
     arguments = ["--controller", "passive", "--road", str(path), "--speed", "10", "--duration", str(duration), "--no-logs"]
-    assert answer(capsys, main, *arguments)["road"]["points"] == 201
+    result = answer(capsys, main, *arguments)
+    assert result["road"]["points"] == 201
+    assert result["road_ends"] == (2.0 if duration > 2 else None)
     main(arguments)
     out = prose(capsys.readouterr().out)
     assert said in out
+    below = "from 0 s on; after 2 s, the road has no points and is straight." if duration > 2 else "from 0 s on."
+    assert f"Worst point of the vehicle in MuJoCo, {below}" in out  # under the ride
     assert ("--duration" in out) == bool(said)
 
 

@@ -2,9 +2,12 @@
 
 import io
 import sys
+import threading
+import time
 
 import pytest
 
+from models.common import printed
 from models.common.printed import WIDEST, Stages
 from tests.support.commands import main_of
 
@@ -44,6 +47,18 @@ def test_stages_are_counted(monkeypatch):
         "[3/3] picture: 31 of 124 cells",
         "",
     ]
+
+
+def test_a_line_that_lasts_counts_its_seconds(monkeypatch):
+    """A design that runs for long shows its time once a second, until the next line; no thread is left when the line is cleared."""
+    shown = terminal(monkeypatch)
+    monkeypatch.setattr(printed, "LASTING", 0.05)
+    printed.show("[1/2] controller slow")
+    time.sleep(0.3)
+    printed.show("")
+    time.sleep(0.05)
+    assert shown() == ["[1/2] controller slow", "[1/2] controller slow (0 s)", ""]
+    assert [one.name for one in threading.enumerate() if one.name.startswith("progress")] == []
 
 
 def test_a_line_stays_one_line(monkeypatch, capsys):

@@ -124,7 +124,7 @@ OWNERS = {
     "jinja2": {"models/document/page.py"},
     "python_calamine": {"models/common/table.py"},
     "pyopencrg": {"models/roads/opencrg.py"},
-    "cloudpickle": {"models/kinds/kind.py"},
+    "cloudpickle": {"models/kinds/kind.py", "models/laws/python_runtime.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
         "sim/campaign/columns.py",

@@ -11,6 +11,7 @@ import pickle
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -139,6 +140,29 @@ def test_runs_by_name(tmp_path):
     ):
         with pytest.raises(models.InputError, match=said):
             sim.run(car, [given], road)
+
+
+def test_what_cannot_be_confirmed_is_no_agreement(paper):
+    """At a timestep that is too coarse a run passes, but does not agree: a warning says why; at a fine one, none does."""
+    law: Any = lambda t, y: 0.0  # noqa: E731
+    with pytest.warns(UserWarning, match=r"^controller 'passive': agrees is None, as the timestep is too coarse") as warned:
+        [coarse, _] = sim.run(paper, ["passive", law], models.Bump(speed=25.0), duration=0.5, timestep=0.02)
+    assert len(warned) == 2
+    assert coarse.passed
+    assert coarse.agrees is None
+    with warnings.catch_warnings(action="error"):
+        [fine, other] = sim.run(paper, ["passive", law], models.Bump(height=0.05), duration=0.5)
+    assert fine.agrees is other.agrees is True
+
+
+def test_peaks_of_a_run_are_floats(paper):
+    """The peak and the rms of a single run are floats; those of several runs are arrays of the same numbers."""
+    several = sim.run(paper, ["passive", "II_printed"], models.Bump(height=0.05), duration=0.2)
+    both = dataclasses.replace(several[0].physics, values=np.stack([one.physics.values for one in several]))
+    for name in ("peak", "rms"):
+        alone = [getattr(one.physics, name)("tyre_deflection") for one in several]
+        assert [type(one) for one in alone] == [float, float]
+        np.testing.assert_array_equal(getattr(both, name)("tyre_deflection"), alone)
 
 
 def test_with_parameters():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.common.printed import percent
 from models.roads.road import Bump
 from models.suspension import LEAVES
 from models.suspension.curve import ForceCurve
@@ -20,10 +21,12 @@ from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.inspect.__main__ import main as inspect
+from sim.inspect.findings import different
 from sim.inspect.log import read_log
 from sim.linear.nonlinear_elements import at_rest, at_rest_words, elements
 from sim.linear.sampled_response import taylor4
 from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
+from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from sim.studies.validity.regime_map import validity
@@ -99,6 +102,37 @@ def test_a_fine_table_is_fewer_lines_to_the_error_it_says():
     assert counts == sorted(counts)
     assert counts[0] < 12
     assert damper([-1, -0.5, 0, 0.5, 1], [-1000, -500, 0, 500, 1000]).pieces.slope.size == 0  # on one line
+
+
+def test_a_fine_table_has_the_slope_of_its_own_points_at_rest():
+    """A thinned table has the slopes of its own points on both sides of a kink at rest: the finer, the nearer to the truth.
+    Forces rounded to 1 N give the slope within 2 %."""
+    truth, off = 700 / 0.12 + 600, []
+    for count in (161, 1001, 8001):
+        v = np.linspace(-1.5, 1.5, count)
+        force = np.where(v > 0, 900, 500) * np.tanh(v / 0.12) + 600 * v
+        curve = damper(v.tolist(), force.tolist())
+        assert "replaced by" in curve.words
+        for i in (count // 2 - 1, count // 2 + 1):
+            assert curve(v[i] / 2) == pytest.approx(force[i] / 2, rel=1e-12)
+        off.append(abs(curve.slope - truth))
+        assert damper(v.tolist(), np.round(force).tolist()).slope == pytest.approx(truth, rel=0.02)
+    assert off[0] > 30 * off[1] > 30 * 50 * off[2]  # chords of tanh have errors of h^2
+
+
+def test_a_fine_spring_has_its_own_slope_where_another_mass_moves_it():
+    """A spring of many points with preload = true has the slope of its own points at rest, for this mass and for another."""
+    d = np.linspace(-0.12, 0.2, 803)  # compression [m]; nitrogen with p V^1.3
+    force = 4905.0 * (1 - d / 0.33) ** -1.3
+    table = f"{{ compression = {d.tolist()}, force = {force.tolist()}, preload = true }}"
+    vehicle = parse_vehicle(curved_text(suspension_stiffness=table))
+    for mass in (vehicle.parameters["sprung_mass"], 650.0):
+        moved, load = vehicle.with_parameters(sprung_mass=mass), 9.81 * mass
+        curve, rest = moved.curves["suspension_stiffness"], 0.33 * (1 - (4905.0 / load) ** (1 / 1.3))
+        slope = 1.3 / 0.33 * load * (load / 4905.0) ** (1 / 1.3)  # of the formula
+        assert moved.parameters["suspension_stiffness"] == pytest.approx(slope, rel=5e-3)  # points every 0.4 mm
+        assert len(curve.x) < 27
+        assert np.abs(curve(rest - d) - (load - force)).max() < 58.0  # N: 0.5 % of the largest force at the file's mass
 
 
 def test_friction_is_smooth_to_the_error_it_says():
@@ -231,6 +265,40 @@ def test_a_run_agrees_and_says_what_its_curves_did(kind, more):
         assert np.isfinite(when)
 
 
+SURFACE = "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-900, -1500], [0, 0], [700, 1900]] }"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "curves"),
+    [("quarter_car", "I", BOTH), ("half_car", "passive", AXLES), ("quarter_car", "passive", {"suspension_damping": SURFACE})],
+)
+def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, name, curves):
+    """A run says how far its linearisation is off: as far as MuJoCo's run of the car with these lines."""
+    vehicle, time = with_curves(kind, **curves), sample_times(with_curves(kind, **curves), 0.4, 1e-3)
+    controller = design(vehicle, name)
+    (run,) = run_controllers(vehicle, [controller], ROAD, time)
+    straight = simulate([vehicle.linearised], [controller], [ROAD], time).response.run(0)
+    peaks = {signal: np.abs(run.physics[signal]).max() for signal in vehicle.linear_model.outputs}
+    apart = {signal: np.abs(run.physics[signal] - straight[signal]).max() / (peak or 1.0) for signal, peak in peaks.items()}
+    assert run.line_errors == pytest.approx(apart, abs=2e-3 if kind == "half_car" else 1e-5)  # geometry, RK4
+    worst = max(apart, key=apart.__getitem__)
+    assert apart[worst] > 0.1
+    line, off = run_object(run)["linearisation"], f"off by {percent(run.line_errors[worst])} of a peak"
+    assert line == {"error": run.line_errors[worst], "signal": worst, "over": "peak in MuJoCo"}
+    said = "the nonlinear response with the characteristics applies over the whole run; its linearisation at equilibrium is"
+    assert f"{said} {off}" in verdict(run).text
+    assert any(off in one.text and f"(worst: {worst})" in one.text for one in reasons(run))
+    now = run_object(run)
+    older = {key: value for key, value in now.items() if key not in ("linearisation", "reference")}
+    for signal, one in now["signals"].items():
+        errors = {key: one["error"][key] for key in ("sampled", "continuous")}
+        older["signals"] = older["signals"] | {signal: one | {"error": errors}}
+    assert not list(different(older, now))  # an older log still proves what it claims
+    (linear,) = run_controllers(read_vehicle(kind), [design(read_vehicle(kind), "passive")], ROAD, time)
+    assert "; linear analysis applies over the whole run; energy" in verdict(linear).text
+    assert not {"linearisation", "reference"} & {*run_object(linear)}
+
+
 def test_energy_tells_a_curve_that_nobody_wrote_down():
     """Were a curve's force left out of the balance, that would not balance."""
     vehicle = with_curves(**BOTH)
@@ -271,7 +339,7 @@ def test_a_parameter_that_changes_scales_its_curve():
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
         ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
         ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
-        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "force is 0 N at most, and nothing below 1e-06 N counts"),
+        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "the force differs by at most 0 N from the force at rest"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),

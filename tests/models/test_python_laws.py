@@ -3,12 +3,14 @@
 import io
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 from contextlib import redirect_stdout
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -186,17 +188,60 @@ def test_it_can_disagree(tmp_path):
 
 
 def test_a_law_that_is_not_repeatable_is_no_disagreement(tmp_path):
-    """Random numbers, and a function that keeps its state from run to run, answer otherwise each time: that is no failure."""
-    path, force = vehicle_of(tmp_path, "import random\ndef step(sample, state): return random.random(), state\n"), [0.0]
-
-    def kept(t, y):
-        force[0] += 0.05 * (-3000.0 * y[1] - force[0])
-        return force
-
-    for run in sim.run(read_vehicle(path), ["mine", kept], Bump(height=0.05), duration=0.3):
+    """Random numbers answer otherwise each time: that is no failure, but nothing is confirmed, and a warning says why."""
+    path = vehicle_of(tmp_path, "import random\ndef step(sample, state): return random.random(), state\n")
+    vehicle, noisy = read_vehicle(path), lambda t, y: random.random()
+    with pytest.warns(UserWarning, match=r"controller '(mine|lambda)': agrees is None, as no command is compared") as warned:
+        runs = sim.run(vehicle, ["mine", noisy], Bump(height=0.05), duration=0.3)
+    assert len(warned) == 2
+    for run in runs:
         assert run.passed
+        assert run.agrees is None
+        assert "no command is compared" in str(run)
         assert run.agreement.commands is not None
         assert not run.agreement.commands.repeatable
+
+
+def filtered():
+    """A closure with a variable of its own, and with another closure."""
+    force, inner = 0.0, kept_in([0.0])
+
+    def law(t, y):
+        nonlocal force
+        force += 0.05 * (-3000.0 * y[1] - force)
+        return force + inner(y)
+
+    return law
+
+
+def kept_in(total: list[float]):
+    def summed(y):
+        total[0] += y[1]
+        return -total[0]
+
+    return summed
+
+
+class Kept:
+    """An object without `reset`."""
+
+    def __init__(self):
+        self.inner = filtered()
+
+    def __call__(self, t, y):
+        return self.inner(t, y)
+
+    def method(self, t, y):
+        return self.inner(t, y)
+
+
+@pytest.mark.parametrize("law", [filtered(), Kept(), Kept().method, partial(Kept().method)])
+def test_a_law_starts_anew_in_every_run(law):
+    """What a closure or an object keeps belongs to one run: the second run of the same one is the same, to the last bit."""
+    vehicle, road = read_vehicle("quarter_car"), Bump(height=0.05)
+    runs = [one for _ in range(2) for one in sim.run(vehicle, [law, law], road, duration=0.3)]
+    assert all(one.agrees for one in runs)
+    assert all(np.array_equal(one.physics.values, runs[0].physics.values) for one in runs)
 
 
 @pytest.mark.parametrize(

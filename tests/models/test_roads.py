@@ -412,6 +412,78 @@ def test_headings_that_contradict(tmp_path, above, settings, said):
         choose_road(f"road.csv{settings}", tmp_path)
 
 
+def survey(count: int = 481) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A rough road along a curve that begins at 45 degrees: distance, coordinates to the east and to the north, heights [m]."""
+    s = np.linspace(0, 120, count)
+    angle, z = np.pi / 4 + s / 200, 1019 + np.cumsum(np.random.default_rng(4).normal(0, 2e-3, count))
+    return s, 709655 + 200 * (np.sin(angle) - np.sin(angle[0])), 5648717 - 200 * (np.cos(angle) - np.cos(angle[0])), z
+
+
+# The columns of a file by letter (x, y: east and north; z: height; n: number; s: distance; lat, lon), their headings, the factor.
+PATHS = [
+    ("xyz", "X (m),Y (m),Z (m)", "coordinates; the distance is the length of their path, 1"),
+    ("zyx", "elevation,northing,easting", "columns 3 ('easting') and 2 ('northing') are coordinates"),
+    ("nxyz", "Punkt,Rechtswert,Hochwert,Höhe", "column 1 ('Punkt') is left out"),
+    ("txyzt", "gps time,POINT_X,POINT_Y,z,quality", "columns 1 ('gps time') and 5 ('quality') are left out"),
+    ("xyzz", "E,N,left,right", ""),
+    ("bac", "GPS latitude [deg],GPS longitude [deg],GPS altitude [m]", "columns 2 ('GPS longitude [deg]') and 1"),
+    ("abc", "lon,lat,ele", ""),
+    ("sxyz", "chainage,x,y,z", "columns 2 ('x') and 3 ('y') are left out"),
+    ("mxyz", "chainage [mm],x,y,z", "is 0.12 m long, but the path"),
+]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("columns", "above", "said"), PATHS)
+def test_two_coordinates_and_a_height_are_a_path(tmp_path, columns, above, said, turned):
+    """A survey on a map or in degrees has the arc length as its distance, whichever way it runs; other columns are named."""
+    s, x, y, z = (one[::-1] if turned else one for one in survey())
+    s = 120 - s if turned else s
+    first, radius = np.deg2rad(48.0), 6378137.0 / np.sqrt(1 - 0.00669438 * np.sin(np.deg2rad(48.0)) ** 2)  # WGS 84
+    north = radius * (1 - 0.00669438) / (1 - 0.00669438 * np.sin(first) ** 2)
+    a, b = 11 + np.rad2deg((x - x[0]) / radius / np.cos(first)), 48 + np.rad2deg((y - y[0]) / north)
+    cells = {"x": x, "y": y, "z": z, "c": z, "s": s, "m": s, "a": a, "b": b, "n": np.arange(len(s)), "t": ["12:03:04.5"] * len(s)}
+    rows = zip(*map(cells.__getitem__, columns), strict=True)
+    lines = [",".join(f"{one:.9f}" if isinstance(one, float) else str(one) for one in row) for row in rows]
+    (tmp_path / "road.csv").write_text("\n".join([above, *lines]))
+    if "m" in columns:
+        with refused(said):
+            choose_road("road.csv", tmp_path)
+        return
+    profile = choose_road("road.csv", tmp_path).profile
+    assert profile is not None
+    # The chords of a circle of 200 m are shorter by 7e-8; degrees bend over 120 m.
+    assert profile.distance == pytest.approx(s, abs=1e-3 if "a" in columns else 1e-5)
+    assert profile.heights[:, 0] == pytest.approx(z, abs=1e-9)
+    assert said in profile.remark(1.0)
+
+
+def test_a_path_that_is_not_sure(tmp_path):
+    """Coordinates without headings, noisy positions, two tracks by turns and falling distances are refused with what to do."""
+    s, x, y, z = survey()
+    noise = np.random.default_rng(1).normal(0, 0.1, (2, len(s)))
+    for above, columns, said in (
+        ("", (x, y, z), "the columns have no headings, and the last two differ by up to 5.6"),
+        ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1, such as x [m], y [m], height [m]"),
+        ("x,y,z\n", (x + noise[0], y + noise[1], z), "positions are noisy or not in driving order"),
+        ("x,y,z\n", (s, 1.5 * (np.arange(len(s)) % 2), z), "positions are noisy or not in driving order"),
+        ("lat,lon,z\n", (1e7 * x, y, z), "degrees are allowed; give decimal degrees"),
+        ("station,x,y,z\n", (np.arange(len(s)), x, y, z), "480 m long, but the path through columns 2 ('x') and 3 ('y') is 120"),
+        ("x,z\n", (s[::-1], z), "and at all other points; reverse the order of the points"),
+        ("x,z\n", (np.sin(s), z), "if this column is a map coordinate, give the other coordinate, too"),
+    ):
+        (tmp_path / "road.csv").write_text(
+            above + "\n".join(",".join(f"{one:.6f}" for one in row) for row in zip(*columns, strict=True))
+        )
+        with refused(said):
+            choose_road("road.csv", tmp_path)
+    (tmp_path / "road.csv").write_text("x,y,z\n0,0,1\n3,4,2\n3,4,2\n3,5,3\n")
+    profile = choose_road("road.csv", tmp_path).profile
+    assert profile is not None
+    assert profile.distance == pytest.approx([0, 5, 6])
+    assert "1 points have the position of the point before" in profile.note
+
+
 DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"
 
 

@@ -314,9 +314,107 @@ def test_a_measured_loop_is_its_mean(tmp_path, capsys, first):
     curve, x = vehicle.curves["suspension_damping"], np.linspace(-0.59, 0.59, 119)
     assert np.abs(curve(x) - mean(x)).max() < 0.01 * 1776  # 0.5 % of thinning, and noise
     (note,) = vehicle.doubts
-    most, where, rest = (float(found) for found in re.findall(r"(-?[\d.]+) (?:N either|m/s|N at rest)", note))
+    number = r"(-?[\d.]+(?:e[+-]\d+)?)"
+    pattern = rf"{number} N either way at {number} m/s, {number} N at rest .* {number} N s/m over"
+    pattern += rf".* rest {number} N s/m, .* {number} and {number} m/s"
+    most, where, rest, energy, slope, low, high = (float(found) for found in re.findall(pattern, note)[0])
+    v = 0.6 * np.sin(turn)
+    assert energy == pytest.approx(float((force - 150) @ v / (v @ v)), rel=2e-3)  # 4 digits, and the gas to 1 N
+    assert slope == pytest.approx(curve.slope, rel=1e-3)
+    assert low < 0 < high
+    assert curve.slope == pytest.approx(float(curve(np.array(high)) / high + curve(np.array(low)) / low) / 2, rel=1e-2)
     assert most == pytest.approx(80, abs=6)  # twice the noise
     assert abs(where) < 0.2  # where the cosine is flat
     assert rest == pytest.approx(150, abs=6)
     assert parse_vehicle(vehicle.text).curves["suspension_damping"].words == curve.words
     assert note in list(driven(tmp_path, capsys))[1]
+
+
+DAMPER_OF_FILE = '[curves]\nsuspension_damping = { file = "a.csv" }'
+
+
+def damper_log() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Six cycles of 18 mm at 1.5 Hz, sampled at 300 Hz with noise: time [s], displacement [m] and force [N] with gas."""
+    rng, t = np.random.default_rng(2), np.arange(1200) / 300
+    v = 0.018 * 3 * np.pi * np.cos(3 * np.pi * t + 1)
+    return t, 0.018 * np.sin(3 * np.pi * t + 1) + rng.normal(0, 5e-6, 1200), law(v) + 150 + rng.normal(0, 0.5, 1200)
+
+
+def law(v):
+    return np.where(v > 0, 900, 500) * np.tanh(v / 0.12) + 600 * v
+
+
+def stamp(seconds, mark=".", day="") -> str:
+    return (
+        f"{day}12:59:{58 + seconds:06.3f}".replace(".", mark)
+        if seconds < 2
+        else f"{day}01:00:{seconds - 2:06.3f}".replace(".", mark)
+    )
+
+
+LOGS = {  # of the headings and a row of the file, each from time, displacement [m] and force [N]
+    "stamps": (
+        "Timestamp,Force (V),Force (N),Disp (V),Disp (mm)",
+        lambda t, x, f: f"{stamp(t, day='2025-11-14 ')},{f / 200},{f},{x},{1e3 * x}",
+    ),
+    "units below": ("Time\tForce\tForce raw\tTravel\ns\tN\tV\tmm", lambda t, x, f: f"{t:.5f}\t{f}\t{f / 200}\t{1e3 * x}"),
+    "German": ("Zeit [ms];Kraft [kN];Weg [mm]", lambda t, x, f: f"{1e3 * t:.3f};{f / 1e3:.6f};{1e3 * x:.5f}".replace(".", ",")),
+    "inches": ("time,load [lbf],position [in]", lambda t, x, f: f"{stamp(t)},{f / 4.4482216},{x / 0.0254}"),
+    "compression": ("t [s],comp force [N],stroke [mm]", lambda t, x, f: f"{t},{-f},{1e3 * x}"),
+}
+
+
+@pytest.mark.parametrize(("name", "sign"), [*((name, 1) for name in LOGS), ("stamps", -1), ("inches", -1)])
+def test_a_raw_log_of_a_dynamometer(tmp_path, name, sign):
+    """Force and displacement over time stamps are the damper's law, whichever way the load cell counts, and all is said."""
+    head, row = LOGS[name]
+    content = "\n".join([head, *(row(t, x, sign * f) for t, x, f in zip(*damper_log(), strict=True))])
+    content = content.replace("2025-11-14 01", "2025-11-14 13")  # a clock of 24 hours; the other one has 12
+    vehicle = read_with(tmp_path, DAMPER_OF_FILE, a=content)
+    v = np.linspace(-0.165, 0.165, 34)
+    # Noise of 5 um through a filter of 18 Hz is 0.2 mm/s, at 8 kN s/m 2 N; lines are within 4 N, and bins 2 mm/s wide.
+    assert np.abs(vehicle.curves["suspension_damping"](v) - law(v)).max() < 20
+    note = next(one for one in vehicle.doubts if "low-pass" in one)
+    assert re.search(r"low-pass of 1\d\.\d Hz \(Savitzky-Golay, order 3, \d+ samples\), last 6 of 6 cycles of 1.5 Hz", note)
+    assert ("the sign of the force is turned" in note) == (sign < 0)
+    assert ("displacement counts as positive in extension" in note) == (name != "compression")
+    assert ("columns 2 ('Force (V)') and 4 ('Disp (V)') are left out" in note) == (name == "stamps")
+
+
+def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
+    """Vectors named with units are a log; a loop in which force falls with velocity is turned, and the mean power is given."""
+    t, x, f = damper_log()
+    savemat(tmp_path / "log.mat", {"time_s": t, "force_N": f, "displacement_mm": 1e3 * x})
+    vehicle = read_with(tmp_path, DAMPER_OF_FILE.replace("a.csv", "log.mat"))
+    assert vehicle.curves["suspension_damping"](np.array([0.1]))[0] == pytest.approx(law(0.1), rel=0.02)
+    rows = "\n".join(f"{a},{-b}" for a, b in zip(1e3 * np.gradient(x, t), f, strict=True))
+    vehicle = read_with(tmp_path, DAMPER_OF_FILE, a=f"velocity [mm/s],force [N]\n{rows}")
+    assert vehicle.curves["suspension_damping"](np.array([-0.1]))[0] == pytest.approx(law(-0.1), rel=0.03)
+    power = np.mean(np.gradient(x, t) * (f - f.mean()))
+    assert any(f"the force falls as velocity rises (mean power {-power:.3g} W)" in one for one in vehicle.doubts)
+
+
+@pytest.mark.parametrize(
+    ("above", "columns", "said"),
+    [
+        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; needed: deflection"),
+        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; needed: time"),
+        ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
+        (
+            "time,force [N],travel [mm]",
+            "tfx",
+            "column 1, 'time', has no unit (allowed: ms, s); write the heading time [s] or time_s",
+        ),
+        ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
+        ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
+        ("t [s],force [N],travel [mm]", "ffx", "give a log with an even sample rate"),
+        ("t [s],force [N],travel [mm]", "tft", "the displacement has less than two turning points on one side"),
+    ],
+)
+def test_a_log_that_is_not_enough(tmp_path, above, columns, said):
+    """A log without time, force or displacement is refused with what each column is; so is one whose force is of no damper."""
+    t, x, f = damper_log()
+    cells = {"t": t, "x": 1e3 * x, "f": f, "n": -f}
+    rows = "\n".join(",".join(f"{one:.6g}" for one in row) for row in zip(*(cells[one] for one in columns), strict=True))
+    with refused(said):
+        read_with(tmp_path, DAMPER_OF_FILE, a=f"{above}\n{rows}")

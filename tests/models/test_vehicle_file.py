@@ -1,13 +1,16 @@
 """Vehicle files: the one that ships is the paper's, and every mistake in one is named in one line."""
 
+import json
 import re
+from functools import reduce
 
 import numpy as np
 import pytest
 
+import models
+import sim
 from models.common.errors import InputError
 from models.kinds.kind import MOST_SQUEEZE
-from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped
 from tests.support.commands import ROOT, main_of, prose, refused
 
@@ -308,7 +311,122 @@ def test_a_map_asks_about_units_too(tmp_path, capsys):
     assert "suspension_stroke is 80 m; check that its value is in m" in capsys.readouterr().err
 
 
+REALITY = """[limits]
+suspension_stroke = { bump = 0.07, rebound = 0.09 }
+stop_stiffness = 1e5
+actuator_force = 2000.0
+actuator_bandwidth = 60.0
+[implementation]
+sample_period = 0.005
+delay = 1
+noise = { suspension_deflection = 0.001, sprung_acceleration = 0.05 }
+"""
+CORNER = ["sprung_mass", "unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping"]
+RIGHT = {  # corners in SI, each with its largest force and its sample period
+    "car": ((380, 42, 22e3, 1500, 2e5, 50, 0.9), 2000, 0.005),
+    "heavy truck": ((4450, 550, 1e6, 15e3, 1.75e6, 2e3, 1.0), 2e4, 0.01),
+    "empty truck": ((1100, 520, 4e5, 12e3, 1.7e6, 2e3, 1.0), 2e4, 0.01),
+    "motorcycle": ((95, 17, 1e5, 4e3, 1.3e5, 200, 0.38), 500, 0.002),
+    "bicycle": ((38, 2.2, 9e4, 2e3, 9e4, 30, 0.36), 50, 0.002),
+    "formula car": ((160, 22, 1.9e5, 6e3, 2.4e5, 400, 1.1), 5000, 0.001),
+    "test bench": ((2.45, 1.0, 900, 7.5, 2500, 5, 1.0), 38, 0.002),
+    "railway vehicle": ((9e3, 900, 4e5, 3e4, 1e9, 0, 1.0), 2e4, 0.01),
+}
+MISTAKES = {  # of the car: keys and values, and what the remark or the refusal must say
+    "sprung_mass = 0.38": "in kg", "sprung_mass = 380e3": "in kg", "unsprung_mass = 0.042": "in kg",
+    "unsprung_mass = 4200": "in kg",
+    "sprung_mass = 42|unsprung_mass = 380": r"unsprung_mass \(380 kg\) is heavier than .* not swapped",
+    "suspension_stiffness = 22": "stiffness in N/m", "suspension_stiffness = 22e6": "stiffness in N/m",
+    "tyre_stiffness = 200": "stiffness in N/m", "tyre_stiffness = 200e6": "stiffness is in N/m",
+    "suspension_stiffness = 6e4|tyre_stiffness = 4e4": r"tyre_stiffness \(40000 N/m\) is softer than .* not swapped",
+    "suspension_damping = 1.5": "damping is in N s/m", "suspension_damping = 1.5e6": "damping is in N s/m",
+    "tyre_damping = 5e4": "the tyre's damping ratio", "motion_ratio = 2.2": "motion_ratio is 2.2; .* over wheel travel",
+    "suspension_stroke = { bump = 70, rebound = 0.09 }": "bump is 70 m", "stop_stiffness = 100": "in N/m",
+    "suspension_stroke = { bump = 0.09, rebound = 0.7 }": "bump and rebound are not swapped",
+    "actuator_force = 2": "actuator_force .* is small .* in N", "actuator_force = 2e6": "is large .* in N",
+    "actuator_bandwidth = 10": "1.59155 Hz.* rad/s", "sample_period = 5": "sample_period", "sample_period = 0.1|delay = 0": "in s",
+    "delay = 5": "delay times sample_period .0.025 s", "noise = { suspension_deflection = 1 }": "noise of .* in m",
+    "quantisation = { sprung_acceleration = 50 }": "in m/s2",
+}  # fmt: skip
+
+
+def corner(name: str) -> str:
+    """The file of a corner, with limits and an implementation."""
+    values, force, period = RIGHT[name]
+    given = "".join(f"{key} = {value}\n" for key, value in zip([*CORNER, "motion_ratio"], values, strict=True))
+    real = REALITY.replace("= 2000.0", f"= {force}").replace("= 0.005", f"= {period}")
+    return f'type = "quarter_car"\n[parameters]\n{given}[performance]\nsprung_acceleration = 1.0\n{real}'
+
+
+def put(text: str, entry: str) -> str:
+    """The text with another value of a key."""
+    name, _, section = *entry.partition(" = ")[:2], "[implementation]\n"
+    line = re.compile(rf"^{name} = .*$", re.MULTILINE)
+    return line.sub(entry, text) if line.search(text) else text.replace(section, f"{section}{entry}\n")
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_remarked_once(mistake):
+    """An improbable number of a vehicle has one remark, with what to check, or is refused; so has one axle of a car."""
+    try:
+        (said,) = parse_vehicle(reduce(put, mistake.split("|"), corner("car"))).doubts
+    except InputError as error:
+        said = str(error)
+    assert re.search(MISTAKES[mistake], said)
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_vehicles_have_no_remark(name):
+    """Limits are relative to the vehicle: a truck, a bicycle and a test bench of 2.45 kg are all right."""
+    assert parse_vehicle(corner(name)).doubts == []
+
+
+def test_axles_of_a_car():
+    """The front and the rear axle of a car have the same rules, and a remark names the axle, or both."""
+    for kind, rear in (("half_car", "rear"), ("full_car", "rear_left")):
+        text = read_vehicle(kind).text
+        (soft,) = parse_vehicle(put(put(text, "tyre_stiffness_rear = 20e3"), "suspension_stiffness_rear = 30e3")).doubts
+        assert soft.startswith("tyre_stiffness_rear (20000 N/m) is softer than suspension_stiffness_rear")
+        (apart,) = parse_vehicle(put(put(text, "suspension_stiffness_front = 9e4"), "suspension_stiffness_rear = 15e3")).doubts
+        assert re.search(rf"at front.* is far above .* at {rear} .* front and rear are not swapped", apart)
+
+
+def test_remarks_are_in_json_and_python_warns(tmp_path, capsys):
+    """Each remark on vehicle and road is printed once, before any error, is in `--json`, and is a warning in Python."""
+    file = tmp_path / "car.toml"
+    file.write_text(put(corner("car"), "actuator_force = 2"))
+    bump = [
+        "--vehicle",
+        str(file),
+        "--controller",
+        "passive",
+        "--height",
+        "0.6",
+        "--speed",
+        "90",
+        "--duration",
+        "0.1",
+        "--no-logs",
+    ]
+    main_of("sim.bump")([*bump, "--json"])
+    printed = capsys.readouterr()
+    said = [line.removeprefix("roadproof: ") for line in printed.err.splitlines() if line.startswith("roadproof: ")]
+    assert json.loads(printed.out)["remarks"] == said
+    assert [one.split(" (")[0] for one in said] == ["actuator_force", "speed", "height"]
+    with pytest.warns(UserWarning, match="is small for") as warned:
+        vehicle = models.read_vehicle(file)
+    assert [str(one.message) for one in warned] == said[:1]
+    assert warned[0].filename == __file__
+    with pytest.warns(UserWarning, match="is above") as warned:
+        sim.run(vehicle, ["passive", "passive"], models.Bump(height=0.6, speed=90.0), duration=0.1)
+    assert [str(one.message) for one in warned] == said[1:]
+    with pytest.warns(UserWarning, match="heavier than the body"):
+        vehicle.with_parameters(unsprung_mass="0.5 t")
+    file.write_text(put(corner("car"), "sprung_mass = 0.38"))
+    with refused(match=r"timestep = 0.005 s is too large: .*; the body's natural frequency .* sprung_mass is in kg"):
+        main_of("sim.bump")([*bump, "--timestep", "0.005"])
+
+
 def test_vehicles_that_ship_raise_no_doubt():
     """Nothing is asked about the vehicles that ship."""
-    for one in map(read_vehicle, shipped()):
-        assert unit_doubts(one.parameters, one.limits) == []
+    assert not any(read_vehicle(name).doubts for name in shipped())

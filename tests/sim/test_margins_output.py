@@ -11,12 +11,13 @@ from models.common.printed import LINES
 from models.document.figure import Curve
 from models.kinds.kind import Variation
 from models.vehicle.limits_and_implementation import Implementation, Limits
-from models.vehicle.vehicle import read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.margins import main
 from sim.studies.stability.figure import margins_figure
-from sim.studies.stability.report import loop_texts
+from sim.studies.stability.report import _rows, loop_texts, number
 from sim.studies.stability.robustness import _worst, read_variations, robustness, varied_text
 from sim.studies.stability.study import stability_margins
+from synth import design_controllers
 from synth.analysis.norm import by_level_sets, hinf_norm
 from synth.controller.problem import generalized_plant
 from tests.support.commands import once
@@ -142,3 +143,22 @@ def test_which_loop_is_said(paper):
     assert "includes the lag of its actuators. Delay and sample period are totals" in " ".join(loop_texts(built))
     blurred = dataclasses.replace(built, implementation=Implementation(noise={"sprung_velocity": 0.01}))
     assert [("not include noise" in " ".join(loop_texts(one))) for one in (built, blurred)] == [False, True]
+
+
+def test_margins_in_dB_and_degrees_and_reasons_without_a_limit(tmp_path, paper, designer):
+    """Factors are in dB and angles in degrees, too. A loop with |L| < 1 at all frequencies states that as the reason."""
+    (strong,) = stability_margins(paper, [designer.design("I")], 4e-3)
+    text = f'{paper.text}\n[controllers.weak]\nmeasured = ["sprung_velocity"]\ngain = [[-50.0]]\n'
+    weak_vehicle = parse_vehicle(text, source=str(tmp_path / "weak.toml"))
+    (weak,) = stability_margins(weak_vehicle, design_controllers(weak_vehicle, ["weak"]), 4e-3)
+    rows, weak_rows = ({row.margin: row for row in _rows(one)} for one in (strong, weak))
+    gain, lag = rows["gain, factor"], rows["phase lag [rad]"]
+    assert gain.usual == f"{20 * np.log10(gain.predicted):.3g} dB"
+    assert lag.usual == f"{lag.predicted * 180 / np.pi:.3g}°"
+    model, w = paper.linear_model, 1j * np.geomspace(1e-2, 1e4, 4000)
+    to_velocity = np.linalg.solve(w[:, None, None] * np.eye(4) - model.A, np.broadcast_to(model.B, (len(w), 4, 1)))
+    assert 50.0 * np.abs(to_velocity[:, model.states.index("sprung_velocity")]).max() < 1
+    for name in ("phase lag [rad]", "phase lead [rad]", "delay [ms]"):
+        assert number(weak_rows[name].predicted) == "no limit"
+        assert "|L| < 1 at all frequencies" in weak_rows[name].note
+    assert "stable up to factor 10000; stable down to factor 0" in weak_rows["gain, factor"].note

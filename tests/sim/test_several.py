@@ -14,10 +14,11 @@ from models.roads.obstacles import Flat, Step
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim import bump, drive
+from sim.campaign.__main__ import main as run_campaign
 from sim.inspect.__main__ import main as inspect
 from sim.runs.by_name import run
 from synth.vehicle.designer import Designer
-from tests.support.commands import answer, refused
+from tests.support.commands import answer, prose, refused
 
 CORNER = """
 type = "quarter_car"
@@ -229,3 +230,24 @@ def test_a_payload_that_is_not_allowed(payload, words):
     """A payload that the vehicle cannot carry so, or a wrong key, is one line."""
     with refused("[payload]", words):
         parse_vehicle(f"{CORNER}[payload]\n{payload}\n")
+
+
+def test_the_same_interval_in_any_company(files, tmp_path, capsys):
+    """`drive --settle` and a campaign measure the same ride, whatever else is driven; else drive names who settles last."""
+    (tmp_path / "one.toml").write_text(
+        f"vehicles = ['{files['corner']}']\ncontrollers = ['passive']\nroads = ['iso8608:class=B']\nspeeds = [20.0]\n"
+        "duration = 4.0\nsettle = 1.5\ntimestep = 2.5e-3\n"
+    )
+    results = answer(capsys, run_campaign, str(tmp_path / "one.toml"), "--results", str(tmp_path / "results"))
+    options = ["--vehicle", files["corner"], "--class", "B", "--duration", "4", "--timestep", "2.5e-3", "--no-logs"]
+    options += ["--controller", "passive"]
+    rides = [
+        answer(capsys, drive.main, *options, *more, "--settle", "1.5")["compared"]["controllers"][0]["ride"]
+        for more in ([], ["--controller", "leaky"])
+    ]
+    assert rides[0] == pytest.approx(results["compared"][0]["controllers"][0]["ride"], rel=1e-9)  # summed in other blocks
+    assert rides[0] == rides[1]
+    assert drive.main([*options, "--controller", "leaky"]) == 0
+    assert "from 2 s on, half of the run, as `leaky` settles later" in prose(capsys.readouterr().out)
+    with refused("--settle 3 s", "0 to 2 s"):
+        drive.main([*options, "--settle", "3"])

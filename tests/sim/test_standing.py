@@ -1,10 +1,12 @@
 """Which controller is best: the table at the end of commands that run several, and what it says of the best."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from models.vehicle.vehicle import read_vehicle
 from sim import bump
-from sim.studies.ride.standing import FIELDS, KEYS, Standing, best, standing, standing_lines
+from sim.studies.ride.standing import FIELDS, KEYS, Standing, best, compared_table, standing, standing_lines
 from tests.support.commands import answer, refused
 
 RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs", "--duration", "1"]
@@ -36,16 +38,29 @@ def test_a_table():
     }
     standings = [Standing(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
     assert standing_lines(standings, "MuJoCo, from 6 s on") == [
-        "                                peak   dynamic off the force, force,    at",
-        "                      ride    travel      load  ground    rms   peak stops",
-        "  controller      [m/s²] %    [mm] %     [-] %     [%]    [N]    [N]   [%]",
-        "  passive       0.527    - 73.5    - 0.359*  -  0.206      0      0  1.00",
-        "  I             0.410* -22 49.6* -33 0.371  +3  0.270    211   1228     0*",
-        "  a_longer_name     -    -    -    -     -   -      -      -      -     -",
-        "  II            0.410* -22 73.5    - 0.360   0      0*   100*   629*    0*",
+        "                             peak     dynamic    off the force, force,    at",
+        "                  ride     travel        load     ground    rms   peak stops",
+        "  controller    [m/s²]   %   [mm]   %     [-]  %     [%]    [N]    [N]   [%]",
+        "  passive       0.527    -  73.5    -  0.359*  -  0.206      0      0  1.00",
+        "  I             0.410* -22  49.6* -33  0.371  +3  0.270    211   1228     0*",
+        "  a_longer_name     -    -     -    -      -   -      -      -      -     -",
+        "  II            0.410* -22  73.5    -  0.360   0      0*   100*   629*    0*",
         "  Worst point of the vehicle in MuJoCo, from 6 s on. *: best; %: change from",
         "  passive.",
     ]
+
+
+def test_columns_of_travel_have_one_unit():
+    """Travel in bump and rebound are columns in mm, with the strokes below; different strokes make columns in per cent."""
+    strokes = {"bump": (0.0395, 0.085), "rebound": (0.0264, 0.095)}
+    rows = [Standing(name, dict.fromkeys(KEYS, 1.0), strokes=strokes) for name in "ab"]
+    table = compared_table(rows, "MuJoCo")
+    cells = dict(zip(table.headings, table.rows[0], strict=True))
+    assert (cells["bump travel [mm]"], cells["rebound travel [mm]"]) == ("39.5", "26.4")
+    assert "stroke 85 mm in bump, 95 mm in rebound" in table.caption
+    table = compared_table([rows[0], replace(rows[1], strokes={"bump": (0.04, 0.05)})], "MuJoCo")
+    cells = [dict(zip(table.headings, row, strict=True)) for row in table.rows]
+    assert [(one["bump used [%]"], one["rebound used [%]"]) for one in cells] == [("46", "28"), ("80", "-")]
 
 
 def test_the_best_is_best():

@@ -16,13 +16,13 @@ from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import elements
-from sim.response.regime import over
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
 from sim.studies.ride.standing import digits
-from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
+from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_object, line_words
+from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
 from tests.support.commands import once, prose
@@ -85,7 +85,7 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
     shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
     shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
     controller, pulls = design(shaped, name), elements(shaped, shaped.linear_model)
-    index = [shaped.linear_model.outputs.index(over(shaped, one)) for one in shaped.fitted]
+    index = [shaped.linear_model.outputs.index(shaped.argument_of(one)) for one in shaped.fitted]
 
     def of(extra, forces=None):
         softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}

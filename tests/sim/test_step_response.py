@@ -11,6 +11,7 @@ import pytest
 from scipy import integrate, linalg, optimize
 
 from models.common.errors import InputError
+from models.kinds.kind import GRAVITY
 from models.roads.obstacles import Step
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive import main
@@ -292,3 +293,25 @@ def test_command(capsys):
     for road, band, said in (("bump", "5", "applies only to the response to a step"), ("step", "200", "200 % is not allowed")):
         with pytest.raises(InputError, match=f"--band {said}"):
             main(["--controller", "I", "--road", road, "--band", band])
+
+
+@pytest.mark.parametrize("start", [0.0, 0.1002, 0.1007], ids=["at a sample", "early in a step", "late in a step"])
+def test_tables_have_the_peak_at_a_vertical_edge(start):
+    """Just behind a vertical edge the tyre has its height, and the wheel k_t height / m_u: in peaks and step metrics alike.
+
+    Down such an edge the tyre leaves the road: MuJoCo's wheel then falls by its weight and the spring's force alone.
+    """
+    paper = read_vehicle("quarter_car")
+    vehicle = parse_vehicle(paper.text.replace("[performance]", "[performance]\nunsprung_acceleration = 1.0"), source="wheel")
+    p, passive, time = vehicle.parameters, [Designer(vehicle).design("passive")], sample_times(vehicle, 0.4, STEP)
+    [up], [down] = (run_controllers(vehicle, passive, Step(height, edge=0.0, start=start), time) for height in (0.05, -0.05))
+    metrics = measure_step(up)
+    for name, right in (("tyre_deflection", 0.05), ("unsprung_acceleration", p["tyre_stiffness"] * 0.05 / p["unsprung_mass"])):
+        routes = (metrics[name].mujoco, metrics[name].sampled, metrics[name].continuous)
+        peaks = [abs(one.peak) for one in routes if one is not None]
+        peaks += [float(one.peak(name)) for one in (up.physics, up.sampled, up.continuous)]
+        assert peaks == pytest.approx([right] * 6, rel=1e-8)  # cubics: O(h^4), measured 2e-9
+    falls = GRAVITY * (p["sprung_mass"] + p["unsprung_mass"]) / p["unsprung_mass"]
+    sides = np.stack([down.physics["unsprung_acceleration"], down.physics.before["unsprung_acceleration"]])
+    at = int(np.abs(np.diff(sides, axis=0)).argmax())
+    assert sorted(sides[:, at]) == pytest.approx([-falls, 0.0], rel=1e-9, abs=1e-9)

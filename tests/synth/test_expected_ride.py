@@ -2,16 +2,21 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from models.roads.iso8608 import Iso8608
-from models.roads.road import track_width
+from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.physics.simulate import simulate
+from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import measure
 from synth.__main__ import main
-from synth.vehicle.designer import Designer
+from synth.vehicle.designer import Designer, design
 from synth.vehicle.expected_ride import expected_ride
 from tests.support.commands import prose
+from tests.support.curved import curved_text, with_curves
 from tests.support.pages import site
 
 
@@ -38,6 +43,43 @@ def test_it_is_what_a_drive_expects(name):
         coarse, fine = (apart(designer.design(controller), each) for each in (step, step / 2))
         assert 0 < coarse < most
         assert fine == pytest.approx(coarse / 2, rel=0.1)  # of first order in the step
+
+
+def test_a_friction_like_damper_rides_as_in_mujoco(tmp_path, capsys):
+    """The expected ride of `synth` and of `sim.drive` is that in MuJoCo over long roads."""
+    v = np.linspace(-2.0, 2.0, 401)
+    force = 900 * np.tanh(v / 0.06) + 600 * v
+    table = f"{{ velocity = {v.tolist()}, force = {force.tolist()}, fit_error = 0.01 }}"
+    vehicle = with_curves(
+        suspension_stiffness="{ deflection = [-1, 0, 1], force = [-19600, 0, 19600] }", suspension_damping=table
+    )
+    controller, roads = design(vehicle, "passive"), [Iso8608("C", seed, 20.0, length=850.0) for seed in range(3)]
+    time = sample_times(vehicle, 40.0, 1e-3)
+    runs = simulate([controller] * 3, [RoadInput(vehicle, road, time) for road in roads]).response
+    weighted = [measure(vehicle, runs.run(i), 2000)["sprung_acceleration_weighted"] for i in range(3)]
+    truth = float(np.sqrt(np.mean(np.square(weighted))))  # +- 1 % by road
+    assert expected_ride(vehicle, controller) == pytest.approx(truth, rel=0.04)  # measured 2 % over 6 roads of 55 s
+    expected = expect(vehicle, controller, roads[0].spectrum, 1e-3, 40.0)
+    assert expected is not None
+    assert expected.mean["sprung_acceleration_weighted"] == pytest.approx(truth, rel=0.04)  # as much; -10 % with the remainder
+    at_rest = expected_ride(vehicle.linearised, controller)
+    assert at_rest is not None
+    assert at_rest > 1.6 * truth
+    (tmp_path / "car.toml").write_text(vehicle.text)
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "passive"]) == 0
+    said = prose(capsys.readouterr().out)
+    assert f"by statistical linearisation [m/s2]: passive {expected_ride(vehicle, controller):.3g}" in said
+
+
+def test_without_a_consistent_line_there_is_a_reason(tmp_path, capsys):
+    """A law that cancels a softening spring leaves no line that is consistent with a stable loop: null, with the reason."""
+    soft = "{ deflection = [-0.3, -0.02, 0, 0.02, 0.3], force = [-960, -400, 0, 400, 960] }"
+    cancels = '\n[controllers.cancels]\nmeasured = ["suspension_deflection"]\ngain = [[15000.0]]\n'
+    (tmp_path / "car.toml").write_text(curved_text(more=cancels, suspension_stiffness=soft))
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "cancels", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["controllers"][0]["expected_ride"] is None
+    assert "no straight lines" in found["expected_ride"]["without"]["cancels"]
 
 
 def test_a_worse_ride_is_said(tmp_path, capsys):

@@ -5,21 +5,23 @@ time, so that each piece has as many points as a polynomial takes: one of degree
 Samples alone, as MuJoCo's, are joined by cubics through the four nearest; a held force is constant from one sample to the next.
 """
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy import linalg
+from scipy.interpolate import barycentric_interpolate
 
 from models.common.arrays import Array
 from models.laws.python_law import Programmed
 from models.roads.road import RoadInput, delays
 from sim.linear.forced_response import forced_continuous_response
-from sim.linear.sampled_response import continuous_response, jumps_under_wheels
+from sim.linear.sampled_response import continuous_response
+from sim.response.jumps import jumps_under_wheels, vertical_edges
 from sim.response.response import Response
 from sim.runs.run import Run
-from synth.controller.open_loop import readings_of_road, with_lag
 
 DEGREE = 8  # of the polynomial of a step
 PER_GAP = 8  # pieces of a road between two of its kinks, or more
@@ -164,6 +166,11 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     gap = min((one for one in np.diff(np.unique(road.kinks)) if one > 0), default=math.inf)
     cut = math.ceil(PER_GAP * h / gap * (1 - ROUNDING))
     whole = _exact_steps(run, signals, len(time) - 1, 1)
+    if road.jumps:
+        preview = getattr(run.controller, "preview", None)
+        ahead = {0.0, preview.seconds if preview is not None else 0.0}
+        jumps = {at - before for at, *_ in jumps_under_wheels(road, run.vehicle) for before in ahead}
+        whole = {name: _cut_at(one, sorted(jumps)) for name, one in whole.items()}
     if cut <= 1 or not len(kinks) or not whole:
         return whole
     some = min(math.ceil(kinks[-1] / h) + 1, len(time) - 1)
@@ -192,62 +199,53 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
-        if road.road.jumps:
-            values[:, 0] += _behind_jumps(run, name, start, h / cut)
         pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
     return pieces
 
 
-def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
-    """Returns by how much a signal leaps where pieces begin with a jump of the road, shape like their start.
+def _cut_at(pieces: Pieces, jumps: Sequence[float]) -> Pieces:
+    """Returns pieces cut at jumps of the signal [s], whose polynomials go through points on their own side of a jump.
 
-    Jumps within a piece are left out: its polynomial goes through the points on both sides.
+    The points have the value before a jump at its time.
     """
-    vehicle, loop, leaps = run.vehicle, run.prediction.loop, np.zeros(len(start))
-    cut = None if loop is None else loop.continuous
-    model = with_lag(vehicle) if cut is None else cut.model
-    preview = None if loop is None else loop.controller.preview
-    i = model.outputs.index(name)
-    row = model.C[i] if cut is None else model.C[i] + model.D[i] @ cut.G
-    for at, wheel, height in jumps_under_wheels(run.road, vehicle):
-        push = model.Bw[:, wheel]
-        if loop is not None and cut is not None and model.tyres_damp:
-            push = push + model.B @ readings_of_road(cut, loop.controller)[:, wheel]
-        leaps += height * (row @ push + model.Cr[i, wheel]) * _begins(start, at, length)
-        if cut is not None and preview is not None:  # the road ahead begins to hold the jump, and no longer does
-            seen, enters = model.D[i, : cut.forces] @ preview.C, preview.B[:, wheel]
-            ahead = seen @ linalg.expm(preview.A * preview.seconds) @ enters
-            leaps += height * ahead * _begins(start, at - preview.seconds, length)
-            leaps -= height * (seen @ enters) * _begins(start, at, length)
-    return leaps
-
-
-def _begins(start: Array, at: float, length: float) -> Array:
-    """Returns 1 for the piece that begins at a time, else 0, shape like the starts [s]."""
-    k, begins = int(np.argmin(np.abs(start - at))), np.zeros(len(start))
-    begins[k] = abs(start[k] - at) <= EARLY * length
-    return begins
+    for at in (one for one in jumps if 0 <= one < pieces.start[-1]):
+        near = EARLY * pieces.length[0]
+        k = int(np.searchsorted(pieces.start, at + near)) - 1
+        rows, points = slice(max(k - 1, 0), k + 2), np.linspace(0, 1, pieces.values.shape[1])
+        times, first = np.unique((pieces.start[rows, None] + pieces.length[rows, None] * points).round(12), return_index=True)
+        values, left = pieces.values[rows].ravel()[first], times <= at + near
+        start, length = pieces.start[k], pieces.length[k]
+        ends = [(start, at, left), (at, start + length, ~left)] if at - start > near else [(start, start + length, ~left)]
+        new = []
+        for begin, end, side in ends:
+            some = np.flatnonzero(side)[-DEGREE:] if end == at else np.flatnonzero(side)[:DEGREE]
+            new.append((begin, end - begin, barycentric_interpolate(times[some], values[some], begin + (end - begin) * points)))
+        parts = zip((pieces.start, pieces.length, pieces.values), zip(*new, strict=True), strict=True)
+        pieces = Pieces(*(np.concatenate([whole[:k], np.array(part), whole[k + 1 :]]) for whole, part in parts))
+    return pieces
 
 
 def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of a response that is known at its samples: cubics, and forces as they are held."""
-    time, h = response.time, run.prediction.timestep
+    """Returns signals of a response that is known at its samples: cubics between vertical edges, and forces as they are held."""
+    time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
-    return {
-        name: Pieces(
-            time[:-1],
-            np.full(len(time) - 1, h),
-            np.repeat(response[name][:-1, None], 2, axis=1) if name in held else _cubics(response[name]),
-        )
-        for name in signals
-    }
+    edges, pieces = vertical_edges(road), dict[str, Pieces]()
+    for name in signals:
+        values, other, parts = response[name], response.before.get(name, response[name]), list[Array]()
+        for a, b in itertools.pairwise(sorted({0, *edges, len(time) - 1})):
+            part = values[a : b + 1].copy()
+            part[0] = other[a] if a in edges and not edges[a].behind else part[0]
+            part[-1] = other[b] if b in edges and edges[b].behind else part[-1]
+            parts.append(np.repeat(part[:-1, None], 2, axis=1) if name in held else _cubics(part))
+        pieces[name] = Pieces(time[:-1], np.full(len(time) - 1, h), np.concatenate(parts))
+    return pieces
 
 
 def _cubics(values: Array) -> Array:
     """Returns the four points of each step's cubic, which goes through the four samples next to it, shape (T - 1, 4)."""
     count = len(values)
     if count < 4:
-        return np.column_stack([values[:-1], values[1:]])
+        return np.linspace(values[:-1], values[1:], 4, axis=1)
     first = np.clip(np.arange(count - 1) - 1, 0, count - 4)
     offset = np.arange(count - 1) - first
     grid = np.arange(4.0)

@@ -224,7 +224,11 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
             turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
             at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
         outside = sources(vehicle, road, omega) if rest is None else rest.sources(vehicle, road, omega, timestep, at_steps)
-        at_steps, jumps = at_steps @ outside, leaps_by_step(vehicle, controller, omega, timestep, pulls) @ outside
+        responses = at_steps, leaps_by_step(vehicle, controller, omega, timestep, pulls)
+        at_steps, jumps = (one @ outside for one in responses)
+        if rest is not None and rest.sharp:
+            of_road = outside * (np.arange(outside.shape[1]) < len(vehicle.kind.wheels))[:, None]
+            at_steps[:, :, ride], jumps[:, :, ride] = (one[:, :, ride] @ of_road for one in responses)
         at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # midway, see `metrics.py`
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]

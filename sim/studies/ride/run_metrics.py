@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import as_name, finite, percent
+from models.common.printed import as_name, finite, percent, rough
 from models.document.document import Document, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.document.text import Shown, facts
@@ -38,6 +38,7 @@ from synth.controller.controller import AnyController, Controller
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
+NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a remark
 NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
 
 
@@ -137,7 +138,7 @@ class RunMetrics(Shown):
 
 
 def measured_samples(
-    driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float
+    driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float, settle: float | None = None
 ) -> tuple[int, int | None]:
     """Returns the first sample that is measured, and the one after the last; None for the end of the run.
 
@@ -151,10 +152,17 @@ def measured_samples(
         driven: every vehicle with each of its controllers.
         duration: duration of the run [s].
         timestep: timestep of the run [s].
+        settle: time at which measuring begins on a random road [s]; None for the rule above.
+
+    Raises:
+        InputError: `settle` is longer than half of the run, or the road is not random.
     """
+    if settle is not None and (road.spectrum is None or not 0 <= settle <= duration / 2):
+        allowed = f"0 to {duration / 2:g} s, half of the run" if road.spectrum is not None else "it only for a random road"
+        raise InputError(f"--settle {settle:g} s is not allowed; give {allowed}")
     if road.spectrum is not None:
-        times = [settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for vehicle, one in driven]
-        return round(min(max(times), duration / 2) / timestep), None
+        slowest = max(time for _, time in settling_times(driven))
+        return round((min(slowest, duration / 2) if settle is None else settle) / timestep), None
     if road.loaded or road.points is not None or not math.isfinite(road.duration):
         return 0, None
     vehicles = {id(vehicle): vehicle for vehicle, _ in driven}.values()
@@ -163,11 +171,37 @@ def measured_samples(
     return first, round(settled / timestep) + 1 if settled < duration else None
 
 
+def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
+    """Returns the name and the settling time [s] of each controller; infinite for a law in Python, whose transient is unknown."""
+    return [(one.name, settling_time(car, one) if isinstance(one, Controller) else math.inf) for car, one in driven]
+
+
+def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
+    """Returns the reason for which measuring begins at a time [s] on a random road, for a sentence."""
+    last, slowest = max(settling_times(driven), key=lambda one: one[1])
+    if start >= duration / 2 and slowest > start:
+        return f", half of the run, as {as_name(last)} settles later"
+    names = {one.name for _, one in driven}
+    return ", when all controllers have settled" + (f" ({as_name(last)} last)" if len(names) > 1 else "")
+
+
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
     """Returns the measured stretch of a run in words, from sample times [s] and `measured_samples`."""
     first, end = samples
     begins = f"from {WHEN.digits(time[first])}"
     return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, the passage"
+
+
+def points_end(road: Road, duration: float) -> float | None:
+    """Returns the time at which the points of a road from a file end [s]; None if they last as long as a run [s]."""
+    ends = road.duration
+    return ends if road.points is not None and ends < duration and not math.isclose(ends, duration, rel_tol=NEARLY) else None
+
+
+def end_words(road: Road, duration: float) -> str:
+    """Returns a phrase on a road whose points end before a run of this duration [s]; empty for other roads."""
+    ends = points_end(road, duration)
+    return "" if ends is None else f"; after {rough(ends)} s, the road has no points and is straight"
 
 
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
@@ -224,7 +258,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         roughness: every IRI of the road that the run passes.
     """
     vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
-    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}"
+    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}{end_words(run.road, end)}"
     random = any(one.expected is not None for one in metrics.metrics.values())
     if run.broke_off is not None and not random:
         return Document(title, notes(*about))

@@ -69,8 +69,8 @@ FORCES = (_of("force_rms", "force, rms", "N"), FORCE)  # passive has none
 OFF, STOPS = _of("off_ground", "off the ground", "%", 100.0), _of("at_stops", "at stops", "%", 100.0)
 FIELDS = (RIDE, TRAVEL, LOAD, OFF, *FORCES, STOPS)
 STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
-USED = Field[tuple[float, float] | None]("used", lambda side: side and side[0], ".0f", 1e3, unit="mm")
-SHARE_USED = Field[tuple[float, float] | None]("used", lambda side: side and side[0] / side[1], ".0f", 100.0, unit="%")
+USED = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
+SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
 CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
 KEYS = tuple(one.key for one in FIELDS)
@@ -190,15 +190,16 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     columns = [Field[Standing]("vehicle", lambda one: one.vehicle)] if several else []
     columns.append(Field("controller", lambda one: one.name))
     there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
+    travel, strokes = _travel(standings)
     for quantity in there:
-        shown = _travel(standings) if quantity is TRAVEL else quantity
-        columns.append(_marked(shown, marked[quantity.key]))
+        shown = travel if quantity is TRAVEL else [quantity]
+        columns += [_marked(one, marked[quantity.key]) for one in shown]
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
     unsound = ", ".join(one.label for one in standings if not one.sound)
     star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
-    caption = f"Worst point of the vehicle in {about}.{f' {legend}.' if legend else ''}"
+    caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
     if not there:
         caption = "No controller can be compared, because each has a run that broke off."
     return Table.of("compared", caption, (*columns, *more), standings, words=1 + several)
@@ -228,19 +229,18 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
     return Field(f"{CHANGES[quantity]}{CHANGE}", change)
 
 
-def _travel(standings: Sequence[Standing]) -> Field[Standing]:
-    """Returns the column of travel: in bump and rebound if every run has strokes, in mm if all have the same ones, else in per
-    cent of them.
+def _travel(standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
+    """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
+
+    A side is in mm if all runs have the same strokes, else in per cent of its stroke.
     """
     whole = [one for one in standings if TRAVEL.value(one) is not None]
-    if not whole or not all(one.strokes for one in whole):
-        return TRAVEL
-    strokes = {tuple(one.strokes[side][1] if side in one.strokes else None for side in SIDES) for one in whole}
-    alike = len(strokes) == 1
-    of = "/".join(map(STROKE.digits, next(iter(strokes))))
-
-    def used(one: Standing) -> str:
-        sides = [one.strokes.get(side) for side in SIDES]
-        return "/".join((USED if alike else SHARE_USED).cell(side) for side in sides)
-
-    return Field(f"travel in bump/rebound, {f'of {of} mm' if alike else '% of stroke'}", used)
+    sides = [side for side in SIDES if any(side in one.strokes for one in whole)]
+    if not all(one.strokes for one in whole) or not sides:
+        return [TRAVEL], ""
+    strokes = {side: {one.strokes[side][1] if side in one.strokes else None for one in whole} for side in sides}
+    alike = all(len(some) == 1 for some in strokes.values())
+    of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())
+    used, label = (USED, "{} travel") if alike else (SHARE_USED, "{} used")
+    columns = [used.of(lambda one, side=side: one.strokes.get(side), label.format(side)) for side in sides]
+    return columns, f"; stroke {of}" if alike else "; used: of the stroke"

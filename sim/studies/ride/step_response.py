@@ -19,6 +19,7 @@ from models.document.document import Block, Document, Table, notes
 from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
+from sim.response.jumps import vertical_edges
 from sim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -155,10 +156,11 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}
     if run.broke_off is None:
         routes["mujoco"] = sampled(run, run.physics, names)
-    metrics = {}
+    edges = vertical_edges(run.prediction.input)
+    metrics, start = {}, float(run.prediction.time[min(edges)]) if edges else step.start  # MuJoCo's road jumps at a sample
     for name in names:
         known = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
-        pieces = {route: one.counted_from(step.start) for route, one in known.items()}
+        pieces = {route: one.counted_from(step.start if route == "continuous" else start) for route, one in known.items()}
         final = finals[name] if abs(finals[name]) > SILENT * abs(step.height) else 0.0
         if not pieces:
             continue

@@ -19,7 +19,9 @@ from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
 from synth.analysis.specification import FREQUENCY
+from synth.controller.law_margins import gain_in_db
 from synth.controller.report import NORM
+from synth.controller.stability_margins import LARGEST_FACTOR
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
 IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
@@ -27,13 +29,16 @@ AGREES = {True: "agrees", False: "DOES NOT AGREE"}
 UNDECIDED = "undecided: the slowest mode hardly changes"
 
 
+NO_LIMIT = "no limit"
+
+
 def number(value: float) -> str:
-    """Returns a margin: `any` if it is infinite, and `-` if no run shows it."""
-    return "any" if math.isinf(value) else SIZE.digits(value)
+    """Returns a margin: `no limit` if it is infinite, and `-` if no run shows it."""
+    return NO_LIMIT if math.isinf(value) else SIZE.digits(value)
 
 
 class Row(NamedTuple):
-    """A margin in a table; `extra` ones are not in comparisons of controllers."""
+    """A margin in a table, the prediction also in dB or degrees; `extra` ones are not in comparisons of controllers."""
 
     margin: str
     predicted: float
@@ -41,12 +46,22 @@ class Row(NamedTuple):
     note: str = ""
     extrapolated: bool = False
     extra: bool = False
+    usual: str | None = None
+
+
+def _decibels(factor: float) -> str | None:
+    return f"{gain_in_db(factor):.3g} dB" if 0 < factor < math.inf else None
+
+
+def _degrees(angle: float) -> str | None:
+    return f"{math.degrees(angle):.3g}°" if math.isfinite(angle) else None
 
 
 MARGIN = Field[Row]("margin", lambda row: row.margin)
 PREDICTED = Field[Row]("predicted", lambda row: row.predicted, number)
+USUAL = Field[Row]("dB or °", lambda row: row.usual)
 FOUND = Field[Row]("MuJoCo", lambda row: row.found, number)
-MARGINS = (MARGIN, PREDICTED, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
+MARGINS = (MARGIN, PREDICTED, USUAL, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
 LOOPS: tuple[Field[tuple[str, LoopMargins]], ...] = (
     Field("loop, the others closed", lambda of: of[0]),
     Field("gain", lambda of: of[1].predicted.gain, number),
@@ -58,10 +73,10 @@ COMPARED: tuple[Field[tuple[str, Row]], ...] = (
     Field("controller", lambda of: of[0]),
     MARGIN.of(lambda of: of[1]),
     PREDICTED.of(lambda of: of[1]),
+    USUAL.of(lambda of: of[1]),
     Field("MuJoCo", lambda of: FOUND.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
 )
 FACTOR = Field[float]("factor", float, ".3g")
-PHASE = Field[float]("phase", float, ".3g", unit="rad")
 VALUE = Field[float]("value", float, ".4g")
 CORNER: tuple[Field[ParameterVertex], ...] = (
     Field("norm", lambda corner: corner.norm, NORM.form),
@@ -172,13 +187,15 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm the margin: one decays, and one grows.",
         "Phase lead and disk margin are only predicted. The disk margin d allows simultaneous changes of gain and phase: each "
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
+        "Phase and delay have no limit if no eigenvalue of the loop transfer function L has magnitude 1 at any frequency. "
+        f"A gain has no limit if the loop is stable up to factor {LARGEST_FACTOR:g}.",
         f"Other vehicles: {varied_text(vehicle.kind)}. Nothing is proved between the vehicles that were computed.",
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
     rows = [(one.controller.name, row) for one in found for row in _rows(one) if not row.extra]
     caption = "Largest change of each quantity before the loop is unstable: predicted, and found in MuJoCo."
-    pivot = Pivot(("margin",), "controller", ("predicted", "MuJoCo"))
+    pivot = Pivot(("margin",), "controller", ("predicted", "dB or °", "MuJoCo"))
     tables = (
         Table.of("margins", caption, COMPARED, rows, 2, pivot),
         Table.of("robustness", "Largest norm of vehicles with other parameters, and MuJoCo at the range corners.", BOX, found),
@@ -242,33 +259,44 @@ def _rows(found: StabilityMargins) -> list[Row]:
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
     """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
     predicted, h, gain = one.predicted, one.timestep, one.gain
-    lower = predicted.gain_lower or one.found_gain_lower
-    note = _joined(UNDECIDED * math.isnan(gain.found), "" if lower else "stable down to a factor of 0")
-    rows = [Row(f"gain{of}, factor", predicted.gain, gain.found, note, gain.extrapolated), *_sampled_rows(gain)]
+    lower, high = predicted.gain_lower or one.found_gain_lower, predicted.gain
+    below = f"no crossover: {'eigenvalues of L' if len(found.vehicle.linear_model.inputs) > 1 else '|L|'} < 1 at all frequencies"
+    note = _joined(
+        UNDECIDED * math.isnan(gain.found),
+        f"stable up to factor {LARGEST_FACTOR:g}" * math.isinf(high),
+        "" if lower else "stable down to factor 0",
+    )
+    usual = _decibels(high)
+    rows = [Row(f"gain{of}, factor", high, gain.found, note, gain.extrapolated, usual=usual), *_sampled_rows(gain)]
     if lower:
         seen = one.found_gain_lower, UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
-        rows += [Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True), *_sampled_rows(one.gain_lower, -1)]
-    note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else ""
-    rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note))
+        usual = _decibels(predicted.gain_lower)
+        rows.append(Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True, usual=usual))
+        rows += _sampled_rows(one.gain_lower, -1)
+    note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else below
+    rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note, usual=_degrees(predicted.phase)))
     if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
         note = "at another crossover than that of the delay"
-        rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True))
-    note = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else ""
-    rows.append(Row(f"phase lead{of} [rad]", predicted.lead, note=note))
-    low, high = predicted.disk.gain
-    factors = f"{FACTOR.text(low)} to {FACTOR.text(high)}" if math.isfinite(high) else "any"
-    note = f"gain {factors}, or {PHASE.text(predicted.disk.phase)}"
-    rows.append(Row(f"disk margin{of}", predicted.disk.size, note=note))
+        rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True, usual=_degrees(least)))
+    note = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else below
+    rows.append(Row(f"phase lead{of} [rad]", predicted.lead, note=note, usual=_degrees(predicted.lead)))
+    least, most = predicted.disk.gain
+    factors = f"{FACTOR.text(least)} to {FACTOR.text(most)}" if math.isfinite(most) else "without limit"
+    note = f"gain {factors}"
+    rows.append(Row(f"disk margin{of}", predicted.disk.size, note=note, usual=_degrees(predicted.disk.phase)))
     total = one.sample_period.searched
     if (delay := one.delay).searched:
         known = delay.decided and math.isfinite(delay.unstable)
-        samples = f"{round(delay.stable / h)} samples decay, {round(delay.unstable / h)} grow" if known else ""
+        samples = f"{round(delay.stable / h)} steps decay, {round(delay.unstable / h)} grow" if known else ""
+        samples = samples or below * (not predicted.crossovers)
         note = _noted_time(delay, one.found_delay, samples)
         times = 1e3 * one.predicted_delay, 1e3 * one.found_delay
         rows.append(Row("delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
     if total:
         fixed = f"fixed by the law: {1e3 * (_fixed(found) or 0):g} ms" if _fixed(found) else ""
-        note = _noted_time(one.sample_period, one.found_sample_period, fixed, "all forces sampled" * predicted.all_sampled)
+        settles = "stable at every period, as the vehicle settles between two samples" * math.isinf(predicted.sample_period)
+        more = fixed, "all forces sampled" * predicted.all_sampled, settles
+        note = _noted_time(one.sample_period, one.found_sample_period, *more)
         rows.append(Row("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, note))
     return rows
 

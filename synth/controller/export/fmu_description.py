@@ -80,8 +80,8 @@ def _about(model: FmuModel) -> str:
     if model.period is None:
         return f"{title}. A step computes the outputs from the present inputs, and may have any length."
     return (
-        f"{title}. Each step must last {model.period:g} s and computes the outputs from the present inputs. Step this FMU "
-        "before the vehicle, or its outputs act one period later."
+        f"{title}. The law is discrete: each step must last {model.period:g} s and computes the outputs from the present inputs. "
+        "Step this FMU before the vehicle, or its outputs act one period later."
     )
 
 

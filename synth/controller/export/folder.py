@@ -15,6 +15,7 @@ from models.common.errors import InputError
 from models.common.files import read_text
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
+from synth.analysis.specification import SAMPLED_NORM
 from synth.controller.controller import SUFFIX, AnyController, Controller
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
@@ -173,9 +174,12 @@ def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     scalars = {name: value for name, value in (entry.certificate or {}).items() if isinstance(value, float)} if entry else {}
     words = "".join(f"- `{name}` = {value:.9g}\n" for name, value in scalars.items())
     left = ["limits", "quantisation", "rounding of its numbers"] + (["the dampers' range"] if law.dampers else [])
+    replaced = ", in which a continuous counterpart (Tustin's method) replaces the discrete law"
+    counterpart = replaced if driver.law.states and driver.law.sample_period is not None else ""
+    sampled = ". `sampled_norm` is the norm of the sampled-data loop" if SAMPLED_NORM in scalars else ""
     return (
         f"`{VEHICLE}` contains the law, the vehicle and the certificate of their closed loop in continuous "
-        f"time:\n\n{words or '- no certificate was saved with it'}\n\nNot certified: {', '.join(left)}."
+        f"time{counterpart}{sampled}:\n\n{words or '- no certificate was saved with it'}\n\nNot certified: {', '.join(left)}."
     ).replace("\n\n\n", "\n\n")
 
 

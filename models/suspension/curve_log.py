@@ -1,0 +1,72 @@
+"""Raw logs of damper dynamometers: force and displacement over time, of which the velocity is computed.
+
+The filter of A. Savitzky and M. Golay, which has no delay, differentiates the displacement. Its cut-off of 3 dB is that of
+R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). A damper dissipates
+energy: over full cycles the mean of force times velocity is above 0. This decides the sign of one of the two.
+"""
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+
+CYCLES = 10  # the last ones of a log, which are used
+STROKE = 0.5  # of the range of displacement: smaller strokes do not end a cycle
+HARMONICS, ORDER = 12.0, 3  # cut-off of the filter over the frequency of the cycles, and the order of its polynomials
+LEAST_SIDE = 3  # samples on both sides of a filter's middle
+NEARLY = 0.05  # of a cycle, which may be missing from a full one
+SAMPLES = 25.0  # per cycle, at least
+GAP = 10.0  # longest step over the mean step
+UNRELATED = 0.05  # correlation of force and velocity
+
+
+def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:
+    """Returns velocity [m/s] and force [N] of the last full cycles of a log, shapes (k,), and how they were obtained.
+
+    Args:
+        time: times of the samples, ascending [s], shape (n,).
+        displacement: shape (n,) [m].
+        force: shape (n,) [N].
+
+    Raises:
+        InputError: time does not rise or has a gap, or there is no full cycle, or a cycle has too few samples.
+    """
+    from scipy.signal import find_peaks, savgol_filter
+
+    steps = np.diff(time)
+    for i in np.flatnonzero((steps <= 0) | (steps > GAP * steps.mean()))[:1]:
+        raise InputError(
+            f"time goes from {time[i]:.9g} to {time[i + 1]:.9g} s at row {i + 2}; give a log with an even sample rate"
+        )
+    rate, even = 1 / float(steps.mean()), np.linspace(time[0], time[-1], len(time))
+    x, force = (np.interp(even, time, values) for values in (displacement, force))
+    tops, bottoms = (find_peaks(side * x, prominence=STROKE * np.ptp(x))[0] for side in (1.0, -1.0))
+    if len(ends := max(tops, bottoms, key=len)) < 2:
+        raise InputError("the displacement has less than two turning points on one side, and so no full cycle; give a longer log")
+    period = float(np.diff(ends).mean())
+    if period < SAMPLES:
+        raise InputError(f"a cycle has {period:.3g} samples, but at least {SAMPLES:g} are needed; log at a higher rate")
+    last = min(len(x) - 1, round(max(*tops, *bottoms) + period / 2))
+    whole = int(last / period + NEARLY)
+    cycles = min(CYCLES, whole)
+    which = slice(max(0, round(last - cycles * period)), last + 1)
+    side = max(LEAST_SIDE, round(((ORDER + 1) * period / (2 * HARMONICS) + 4.6) / 3.2))
+    cut_off = (ORDER + 1) / (3.2 * side - 4.6) * rate / 2
+    velocity = savgol_filter(x, 2 * side + 1, ORDER, deriv=1, delta=1 / rate)
+    words = (
+        f"velocity from the displacement by a low-pass of {cut_off:.3g} Hz (Savitzky-Golay, order {ORDER}, {2 * side + 1} "
+        f"samples), last {cycles} of {whole} cycles of {rate / period:.3g} Hz"
+    )
+    return velocity[which], force[which], words
+
+
+def dissipation(velocity: Array, force: Array) -> float:
+    """Returns the mean power of a damper without its mean force [W]: above 0 if force and velocity have the same sign.
+
+    Raises:
+        InputError: the force does not depend on the velocity.
+    """
+    power = float(np.mean((velocity - velocity.mean()) * (force - force.mean())))
+    if not abs(power) > UNRELATED * float(velocity.std() * force.std()):
+        raise InputError("the force neither rises nor falls with velocity over the log; check which columns are force and motion")
+    return power

@@ -1,0 +1,123 @@
+"""Statistical linearisation: the straight lines that fit a vehicle's curves best over a random road.
+
+A signal y over a random road is nearly Gaussian, of mean m and standard deviation s. The line with the least mean square error
+for the curve F has its mean force and its mean slope,
+
+    F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
+    E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s,
+
+where the slope changes by d_i at the knot k_i, and phi and Q are the normal density and tail: in closed form for straight lines
+(T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos, Random Vibration and Statistical
+Linearization, 1990, chapter 5). The linear vehicle with those slopes has other m and s, so the computation is iterated until they
+are consistent. An asymmetric damper has a mean force, which the springs carry: the body sits lower or higher (jacks down).
+
+If two wheels share a parameter, their slopes are averaged: road and car are the same on both sides.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
+
+from models.common.arrays import Array
+from models.suspension.curve import ForceCurve
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.controller.open_loop import continuous
+
+CONSISTENT = 1e-6  # relative change at which the iteration ends
+DIRECT = 10  # rounds with full steps
+MOST_ROUNDS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class EquivalentLine:
+    """Linear vehicle that replaces a vehicle with e curves that bend.
+
+    Attributes:
+        vehicle: vehicle without curves.
+        curves: the curves, e of them; a position-dependent damper is its mean over all deflections.
+        signals: names of the signals on which they depend.
+        slopes: slopes of their lines at the wheel, shape (e,).
+        mean: means of all output signals, by name [the signal's unit].
+        rounds: number of iterations.
+    """
+
+    vehicle: Vehicle
+    curves: tuple[ForceCurve, ...]
+    signals: tuple[str, ...]
+    slopes: Array
+    mean: Mapping[str, float]
+    rounds: int
+
+
+def equivalent_line(
+    vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
+) -> EquivalentLine | None:
+    """Returns the linear vehicle that replaces a vehicle with curves, or None if no stable loop is consistent with its lines.
+
+    Args:
+        deviations: function of a linear vehicle and names of signals that returns their standard deviations over the road, shape
+            (k,), or None for an unstable loop.
+    """
+    placed = [one for one in vehicle.fitted if one.curve.bent]
+    signals, names = [vehicle.argument_of(one) for one in placed], [one.parameter for one in placed]
+    curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
+    push, _ = vehicle.pulls_on([one.deflection for one in placed])
+    slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
+    of_parameter = {one.parameter: one for one in placed}
+    for rounds in range(1, MOST_ROUNDS + 1):
+        shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
+        of_elements = {name: (shared[name] - one.of_preload) / one.ratio**2 for name, one in of_parameter.items()}
+        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
+        spreads = deviations(linear, signals + travels)
+        if spreads is None:
+            return None
+        spread, of_travels = np.split(spreads, [len(signals)])
+        if travels:
+            at = {name: (outputs.get(name, 0.0), float(one)) for name, one in zip(travels, of_travels, strict=True)}
+            curves = [one.curve if one.surface is None else one.surface.mean(*at[one.deflection]) for one in placed]
+        moments = [averages(one, m, s) for one, m, s in zip(curves, means, spread, strict=True)]
+        of_line = np.array([shared[name] for name in names])
+        outputs = mean_outputs(linear, controller, push, np.array([force for force, _ in moments]) - of_line * means)
+        new_slopes, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
+        if np.all(np.abs(new_slopes - slopes) <= CONSISTENT * np.abs(new_slopes).max()) and np.all(
+            np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + spread)
+        ):
+            return EquivalentLine(linear, tuple(curves), tuple(signals), of_line, outputs, rounds)
+        step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
+        slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
+    return None
+
+
+def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:
+    """Returns the mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
+    if deviation == 0:
+        near = 1e-9 * float(np.abs(curve.x).max())
+        below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))
+        return at, (above - below) / (2 * near)
+    a = (curve.x - mean) / deviation
+    tails, densities = scipy.special.ndtr(-a), np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
+    steps, first = np.diff(curve.slopes), float(curve.slopes[0])
+    slope = first + float(steps @ tails)
+    force = float(curve.force[0]) + first * (mean - float(curve.x[0])) + deviation * float(steps @ (densities - a * tails))
+    return force, slope
+
+
+def mean_outputs(vehicle: Vehicle, controller: Controller, push: Array, forces: Array) -> dict[str, float]:
+    """Returns the means of all output signals of a linear vehicle under the mean forces of its curves, by name.
+
+    Args:
+        push: effect of forces that pull on the rates of the vehicle's states, shape (n, e).
+        forces: mean forces [N], shape (e,).
+    """
+    cut = continuous(vehicle, controller)
+    rates = np.zeros(len(cut.model.A))
+    rates[: len(push)] = push @ forces
+    state = -np.linalg.lstsq(cut.model.A + cut.model.B @ cut.G, rates)[0]
+    means = cut.model.C @ state + cut.model.D @ (cut.G @ state)
+    # Velocities and accelerations have zero mean.
+    still = {name for name in vehicle.linear_model.outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
+    return {name: 0.0 if name in still else float(value) for name, value in zip(cut.model.outputs, means, strict=True)}
