@@ -635,7 +635,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     parameters, limits, vehicle_kind = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     given = read(
-        "[implementation]", ImplementationSection, data.get("implementation", {}), signals=vehicle_kind.units(model.measurable)
+        "[implementation]", ImplementationSection, data.get("implementation", {}), signals=vehicle_kind.units_of(model.measurable)
     )
     implementation, sampled = given.implementation, given.sampled
     section = data.get("controllers", {})
