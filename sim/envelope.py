@@ -90,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if axis.name in options.given:
             raise InputError(f"--{axis.name} and --vary {axis.name} set the same quantity; omit one of these options")
     bumps = grid(axes, {name: getattr(options, name) for name in UNITS})
+    remarked(bumps[-1])  # the largest of all
     time = sample_times(vehicle, options.duration, options.timestep)
     _check(vehicle, bumps, time, options.threshold)
     loads = tuple(map(choose_load, options.loads))

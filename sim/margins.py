@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = one_chosen(given.controller_names, options.controller)
     as_built = given.driven_by(name)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
-    variations = read_variations(vehicle, options.vary)
+    variations = read_variations(as_built.with_ideal_actuators, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")

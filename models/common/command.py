@@ -69,19 +69,15 @@ class Parser(argparse.ArgumentParser):
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
         return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
-    def parse_known_args(self, args=None, namespace=None):
-        """Returns the options and no other arguments.
-
-        Raises:
-            InputError: bad options, or a value with a space that has no quotes.
-        """
+    def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
+        """Returns the options and the arguments that are none; refuses a value with a space that has no quotes."""
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
             end = args.index(others[0]) + 1
             first = max((i for i in range(end) if args[i].startswith("-")), default=-1)
-            option, value = "".join(args[first : first + 1] if first >= 0 else ()), shlex.quote(" ".join(args[first + 1 : end]))
+            option, value = args[first] if first >= 0 else "", shlex.quote(" ".join(args[first + 1 : end]))
             advice = "put quotes around a value that contains spaces"
-            advice += f", as in {f'{option} {value}'.lstrip()}" if end > first + 2 else ""
+            advice += f", as in {option} {value}".replace("  ", " ") if end > first + 2 else ""
             if isinstance(self._option_string_actions.get(option), (argparse._AppendAction, _Vehicles)):
                 advice += f", or repeat {option} for several values"
             self.error(f"unrecognized argument {others[0]!r}; {advice}")

@@ -115,8 +115,8 @@ def show(message: str) -> None:
         return
     with _printing:
         _overwritten.set()
-        _show(message)
         _overwritten = threading.Event()
+        _show(message)
     if message:
         threading.Thread(target=_count, args=(message, _overwritten), name="progress", daemon=True).start()
 

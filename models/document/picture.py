@@ -68,18 +68,14 @@ def _matplotlib() -> Any:
 
     Figures need no backend. A valid one is set for the windows of the caller's own figures, as the import does.
     """
-    if "matplotlib" in sys.modules or "MPLBACKEND" not in os.environ:
-        import matplotlib
-
-        return matplotlib
-    backend = os.environ.pop("MPLBACKEND")
+    backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:
         import matplotlib
-
-        with suppress(ValueError):
-            matplotlib.rcParams["backend"] = backend or matplotlib.rcParamsDefault["backend"]
     finally:
-        os.environ["MPLBACKEND"] = backend
+        if backend:
+            os.environ["MPLBACKEND"] = backend
+    with suppress(ValueError):
+        matplotlib.rcParams.update({"backend": backend} if backend else {})
     return matplotlib
 
 

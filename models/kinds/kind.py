@@ -17,6 +17,7 @@ from models.kinds.signals import (
     SUSPENSION_DEFLECTION,
     SUSPENSION_VELOCITY,
     TYRE_DEFLECTION,
+    UNSPRUNG_ACCELERATION,
     UNSPRUNG_VELOCITY,
     Signal,
 )
@@ -115,6 +116,8 @@ MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
 OF_SUSPENSION = ("suspension_stiffness", "suspension_damping", "motion_ratio")  # beginnings of its parameters' usual names
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
+
+UNMOVED = 1e-12  # of the largest acceleration by a force: less is rounding
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
@@ -230,6 +233,31 @@ class Invariant(Checked):
 
 
 @dataclass(frozen=True)
+class RidePoints:
+    """Vertical accelerations at which the ride is measured, by signal.
+
+    Attributes:
+        people: points with a person, named by the vehicle type or else the masses above the body; empty without any.
+        others: other points of the body.
+        named: True if the vehicle type names its points with a person.
+    """
+
+    people: tuple[str, ...]
+    others: tuple[str, ...]
+    named: bool
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """Every point, those with a person first."""
+        return (*self.people, *self.others)
+
+    @property
+    def worst_of(self) -> tuple[str, ...]:
+        """Points whose largest value is the ride of the vehicle: those with a person, or all without any."""
+        return self.people or self.others
+
+
+@dataclass(frozen=True)
 class VehicleKind(Checked):
     """Equations of a vehicle type. Every function takes the parameters as a mapping from name to SI value.
 
@@ -263,6 +291,8 @@ class VehicleKind(Checked):
         static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
         ratios: `models.suspension.motion_ratio.RatioTable` of each motion ratio that changes with travel, by parameter; only in
             the kind of a vehicle that has some.
+        people: accelerations [m/s2] of the points with a person, the most important one first. None: those of masses above the
+            body, if it has some; empty for none.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -286,6 +316,7 @@ class VehicleKind(Checked):
     motion: Callable[[Parameters], "Motion"] | None = None
     static_loads: Callable[[Parameters], Mapping[str, float]] = no_loads
     ratios: Mapping[str, Any] = field(default_factory=dict)
+    people: tuple[str, ...] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -501,6 +532,20 @@ class VehicleKind(Checked):
                     "is allowed: check that masses are in kg and stiffness in N/m; lower the masses or raise the stiffness"
                 )
         return checked
+
+    def ride_points(self, model: LinearModel) -> RidePoints:
+        """Returns the points of a vehicle with this linear model at which the ride is measured.
+
+        A mass is above the body if no force acts on it directly that also acts on a wheel.
+        """
+        units = {signal.name: signal.unit for signal in self.signals}
+        names = [one for one in model.outputs if units[one] == "m/s2" and not one.startswith(UNSPRUNG_ACCELERATION.name)]
+        tyres = [model.outputs.index(wheel.tyre_deflection) for wheel in self.wheels]
+        on_wheels = np.any(np.abs(model.C[tyres] @ model.A @ model.B) > 0, axis=0)
+        gains = np.abs(model.D[[model.outputs.index(name) for name in names]][:, on_wheels]).max(axis=1, initial=0.0)
+        above = gains <= UNMOVED * gains.max(initial=0.0) if gains.any() else np.zeros(len(names), dtype=bool)
+        people = self.people if self.people is not None else tuple(np.array(names)[above].tolist())
+        return RidePoints(people, tuple(name for name in names if name not in people), self.people is not None)
 
     def signal(self, name: str) -> Signal:
         """Returns the signal of that name, which this kind has."""

@@ -76,9 +76,11 @@ def check_parts(kind: VehicleKind) -> None:
             if given.count(name) > 1:
                 raise InputError(f"{what}: the name {name!r} is used twice; use each name once")
     signals = [signal.name for signal in kind.signals]
+    accelerations = [signal.name for signal in kind.signals if signal.unit == "m/s2"]
     for what, name, known in (
         *((f"a wheel's {part}", getattr(wheel, part), signals) for wheel in kind.wheels for part in ROAD),
         *(("a load", name, LOADS) for name in names["load"]),
+        *(("a point in people", name, accelerations) for name in kind.people or ()),
         *(("combined", name, names["signal"]) for name in kind.combined),
         *(("a suspension's deflection", part.deflection, signals) for part in suspended),
         *(("a suspension's stiffness", part.stiffness, names["parameter"]) for part in suspended if part.stiffness),

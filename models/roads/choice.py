@@ -92,9 +92,10 @@ class RoadChoice:
 
 
 def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
-    """Returns a road from its text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
+    """Returns the `RoadChoice` of a text; its `build` makes the road for a vehicle.
 
     Args:
+        text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
         folder: base of relative file names.
 
     Raises:

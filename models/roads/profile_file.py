@@ -5,11 +5,16 @@ header of keywords, then heights at a constant step, of one or two tracks.
 
 RDF files are roads of tyre models in Adams and MotionView. Files of the type `poly_line` have a table of distance and of the
 heights of left and right track. Vehicles start at distance 0, which the table may begin well before.
+
+Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. Their distance is
+the length of the path, in the horizontal plane. Steps in degrees become metres with the radii of curvature of the ellipsoid
+WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
 """
 
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +23,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
-from models.common.quantities import UNREAD, Heading, check_unit_options, left_out_words
+from models.common.printed import percent, rough
+from models.common.quantities import UNREAD, Heading, check_unit_options, columns_in_words, left_out_words
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
+from models.common.units import unit_size
 from models.roads.load_choice import setting
 from models.roads.profile import Profile, check_points
-from models.roads.profile_path import check_tracks, coordinates, in_degrees, other_length, path_of
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
@@ -36,6 +42,17 @@ WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in ano
 STEPPED = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
 LIKE_DISTANCE = (0.2, 5.0)  # slopes of a column over its row's distance, in any units of length, that no road has all along
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
+DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
+PLANES = (  # words of coordinates to the east and to the north; a path has one column of each
+    ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
+    ("e", "n"), ("x", "y"), DEGREES,
+)  # fmt: skip
+AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: m, and a ratio
+BLOCK = 5.0  # m of a path, over which positions are averaged
+NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: to be remarked, and to be refused
+DIFFERENT, OTHER = 0.05, 2.5  # relative difference of two lengths to be remarked, and ratio of them to be refused
+APART = 100.0  # m between the heights of two tracks
+SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and over the distance
 
 
 def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = None) -> Profile:
@@ -75,7 +92,7 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     table = find_table(text, FORMAT, given.get("separator", ""), (wanted or [0])[0])
     headings = table.headings(("m",), optional=True)
     headings += [Heading(column=i + 1) for i in range(table.count, max(wanted, default=0) + 1)]
-    place = () if stepped else coordinates(headings, wanted)
+    place = _coordinates(headings, wanted) if not stepped else []
     path = bool(place) and not any(one.quantity == "distance" for i, one in enumerate(headings) if i not in place)
     names = {place[0]: "distance", place[1]: UNREAD} if path else dict.fromkeys(place, UNREAD)
     roles = [replace(one, name=names.get(i, one.name)) for i, one in enumerate(headings)]
@@ -94,19 +111,19 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
             raise InputError(STEPPED)
         distance = step * np.arange(len(points))
     elif path:
-        distance, said = path_of(table, [headings[i] for i in place], unit, bool(wanted))
+        distance, said = _path(table, [headings[i] for i in place], unit, bool(wanted))
         moved = np.append(True, np.diff(distance) > 0)
         distance, heights, lines, note = distance[moved], heights[moved], np.array(lines)[moved], [said, *note]
     else:
         distance = points[:, 0] * headings[used[0]].scale("distance", "distance_unit", unit, "m")
-        note += other_length(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
+        note += _other_length(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
     if len(used) == 3 and not any(headings[i].name for i in used):
         if table.separator == "," and not given.keys() & {"separator", "columns"}:
             _check_commas(table)
-        check_tracks(distance, heights, table.first + 1)
+        _check_tracks(distance, heights, table.first + 1)
     check_points(distance, heights, lambda i: f"line {lines[i]}")
     spacing = float(np.median(np.diff(distance)))
-    known = stepped or "distance_unit" in given or headings[used[0]].unit or (path and in_degrees([headings[i] for i in place]))
+    known = stepped or "distance_unit" in given or headings[used[0]].unit or (path and _in_degrees([headings[i] for i in place]))
     if spacing > WIDEST and not known:
         raise InputError(
             f"the points are {spacing:.3g} m apart if the distances, which have no unit, are in m; give their unit, as in "
@@ -204,6 +221,84 @@ def rdf_text(text: str) -> str:
     count = max((len(line.split()) for line in numbers), default=0)
     names = ["distance", "left", "right"] if count == 3 else ["distance", "height"]
     return "\n" * (begin - 1) + "\t".join(f"{name} [{length}]" for name in names) + "\n" + "\n".join(numbers)
+
+
+def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
+    """Returns the columns of two horizontal coordinates, east and north, from 0; empty without these or without a height."""
+    if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
+        return []
+    for words in PLANES:
+        east, north = ([i for i, one in enumerate(headings) if one.words & {*names.split()}] for names in words)
+        if len(east) == len(north) == 1 and east != north and (not wanted or {*east, *north} <= {*wanted}):
+            return [*east, *north]
+    return []
+
+
+def _in_degrees(headings: Sequence[Heading]) -> bool:
+    return any(one.words & {*DEGREES[1].split()} for one in headings)
+
+
+def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: bool) -> tuple[Array, str]:
+    """Returns the length of a path before each point [m], shape (P,), and a remark; the option is the unit of lengths without.
+
+    Raises:
+        InputError: a unit or a number is wrong, or noise makes the path longer than the road.
+    """
+    numbers, columns = table.numbers([one.column - 1 for one in headings], ragged)[0], columns_in_words(headings)
+    if _in_degrees(headings):
+        degrees = numbers * [unit_size(one.unit or "deg", "deg") or 1.0 for one in headings]
+        if not (np.abs(degrees) <= (360, 90)).all():
+            raise InputError(f"{columns} go up to {np.abs(degrees).max():.6g}; give decimal degrees, up to 360 and 90")
+        eccentricity = FLATTENING * (2 - FLATTENING)
+        turn, latitude = np.deg2rad(np.diff(degrees, axis=0)), np.deg2rad((degrees[1:, 1] + degrees[:-1, 1]) / 2)
+        across = AXIS / np.sqrt(1 - eccentricity * np.sin(latitude) ** 2)
+        along = across**3 * (1 - eccentricity) / AXIS**2
+        steps = np.stack([across * np.cos(latitude) * np.sin(turn[:, 0]), along * turn[:, 1]], axis=-1)
+    else:
+        steps = np.diff(numbers * [one.scale("distance", "distance_unit", option, "m") for one in headings], axis=0)
+    distance = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+
+    position = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    _, block = np.unique(distance // BLOCK, return_inverse=True)
+    means = [np.bincount(block, values) / np.bincount(block) for values in (distance, *position.T)]
+    smooth = float(np.hypot(*np.diff(means[1:])).sum())
+    noise = float(np.ptp(means[0])) / smooth - 1 if smooth else 0.0
+    longer = f"the path through the points is {percent(noise)} longer than the path through mean positions of {BLOCK:g} m each"
+    if noise > NOISY:
+        do = "because the positions are noisy or not in driving order; smooth or sort the points, or give a column of distance"
+        raise InputError(f"{columns} are coordinates, but {longer}, {do}")
+    repeated = int(np.sum(np.diff(distance) <= 0))
+    remarks = [f"{columns} are coordinates; the distance is the length of their path, {rough(distance[-1])} m"]
+    remarks += [f"{repeated} points have the position of the point before, and are left out"] if repeated else []
+    return distance, "; ".join(remarks + ([f"{longer}: check the positions for noise"] if noise > NOTABLE else []))
+
+
+def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
+    """Returns a remark if a column of distance differs from the path through coordinates next to it, which may not be readable.
+
+    Raises:
+        InputError: the difference is larger than that of map projections, as for numbers of stations.
+    """
+    own, length = float(np.ptp(distance)), 0.0
+    with suppress(InputError):
+        length = float(_path(table, headings, "", ragged)[0][-1]) if headings else 0.0
+    if not length or abs(length - own) <= DIFFERENT * own:
+        return []
+    column, columns = f"column {heading.column} ({quoted(heading.text)})", columns_in_words(headings)
+    found = f"{column} is {rough(own)} m long, but the path through {columns} is {rough(length)} m long"
+    if max(own, length) > OTHER * min(own, length):
+        raise InputError(f"{found}; remove one of them, or choose the columns of distance and height, as in :columns=3,4")
+    return [found]
+
+
+def _check_tracks(distance: Array, heights: Array, first: int) -> None:
+    """Refuses three columns without headings that are two coordinates and a height; `first` is the number of the first line."""
+    difference = heights[:, 0] - heights[:, 1]
+    if (largest := np.abs(difference).max()) > APART or np.ptp(difference) > max(SLIGHT, DIVERGING * np.ptp(distance)):
+        raise InputError(
+            f"the columns have no headings, and the last two differ by up to {largest:.6g} m, so they are not the heights of two "
+            f"tracks; write headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
+        )
 
 
 def _is_distance(column: Array, step: float) -> bool:

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -462,6 +462,25 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
     return np.stack([function(t - delay, track) for delay, track in tracks], axis=-1)
 
 
+SAME_TIME = 1e-12  # relative rounding of a time over the timestep
+
+
+def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
+    """Returns the jumps of a road's height: time [s], wheel by index, and how far [m]."""
+    later = enumerate(delays(road, vehicle))
+    return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
+
+
+class Edge(NamedTuple):
+    """Vertical edge of the road at a sample: the change of the heights to its other side [m], shape (r,).
+
+    `behind` is True if the sample has the height behind the edge.
+    """
+
+    change: Array
+    behind: bool
+
+
 @dataclass(frozen=True, eq=False)
 class RoadInput:
     """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
@@ -473,11 +492,13 @@ class RoadInput:
         vehicle: r wheels, and a body that l loads push.
         road: the road.
         time: equidistant sample times [s], shape (T,).
+        earlier: True to repeat a run of an earlier version, whose signals at a sample were under the load of the step from there.
     """
 
     vehicle: Vehicle
     road: Road
     time: Array
+    earlier: bool = False
 
     @property
     def timestep(self) -> float:
@@ -567,6 +588,33 @@ class RoadInput:
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
         return np.hstack([self.held_loads, self.held_velocities])
+
+    @cached_property
+    def in_signals(self) -> Array:
+        """What acts in the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
+        return self.held if self.earlier else np.hstack([self.loads, self.held[:, self.loads.shape[1] :]])
+
+    @cached_property
+    def in_readings(self) -> Array:
+        """What acts in the measurements, before new forces: the loads at the samples, and velocities held until then."""
+        before = np.concatenate([np.zeros_like(self.held[:1]), self.held[:-1]])
+        return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
+
+    def vertical_edges(self, held: bool = True) -> dict[int, Edge]:
+        """Returns the vertical edges of the road, by sample.
+
+        Args:
+            held: True for the road that MuJoCo holds over steps. It jumps at the first sample of a step if its midpoint is behind
+                the edge, else at the last one, which already has the height behind. False for the last samples before edges.
+        """
+        edges: dict[int, Edge] = {}
+        for at, wheel, height in jumps_under_wheels(self.road, self.vehicle):
+            k = math.floor((at - self.time[0]) / self.timestep * (1 + SAME_TIME))
+            if 0 <= k < len(self.time) - 1:
+                later = bool(held and abs(self.midway[k, wheel] - self.heights[k, wheel]) < abs(height) / 2)
+                edge = edges.setdefault(k + later, Edge(np.zeros(self.heights.shape[1]), later))
+                edge.change[wheel] += -height if later else height
+        return edges
 
     def ahead(self, count: int) -> Array:
         """Returns heights under the wheels at so many further samples after the last [m], shape (count, r)."""

@@ -18,6 +18,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, path_from, reading
+from models.common.printed import rough
 from models.common.quantities import QUANTITIES, Heading, columns_in_words, left_out_words
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
@@ -229,7 +230,7 @@ def _dissipating(velocity: Array, force: Array, motion: Heading, load: Heading) 
     """
     if (power := dissipation(velocity, force)) > 0:
         return (1.0, 1.0), []
-    found = f"the force falls as velocity rises (mean power {power:.3g} W), but a damper dissipates energy"
+    found = f"the force falls as velocity rises (mean power {rough(power)} W), but a damper dissipates energy"
     if motion.direction and load.direction:
         raise InputError(f"{found}; correct the direction in the heading of column {motion.column} or {load.column}")
     what, signs = ("velocity", (-1.0, 1.0)) if load.direction else ("force", (1.0, -1.0))

@@ -1,14 +1,15 @@
 """Raw logs of damper dynamometers: force and displacement over time, of which the velocity is computed.
 
 The filter of A. Savitzky and M. Golay, which has no delay, differentiates the displacement. Its cut-off of 3 dB is that of
-R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). A damper dissipates
-energy: over full cycles the mean of force times velocity is above 0. This decides the sign of one of the two.
+R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). The mean
+of force times velocity over full cycles is above 0 for a damper. This decides the sign of one of the two.
 """
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.printed import rough
 
 CYCLES = 10  # the last ones of a log, which are used
 STROKE = 0.5  # of the range of displacement: smaller strokes do not end a cycle
@@ -52,10 +53,10 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
     which = slice(max(0, round(last - cycles * period)), last + 1)
     side = max(LEAST_SIDE, round(((ORDER + 1) * period / (2 * HARMONICS) + 4.6) / 3.2))
     cut_off = (ORDER + 1) / (3.2 * side - 4.6) * rate / 2
-    velocity = savgol_filter(x, 2 * side + 1, ORDER, deriv=1, delta=1 / rate)
+    velocity = np.asarray(savgol_filter(x, 2 * side + 1, ORDER, deriv=1, delta=1 / rate))
     words = (
-        f"velocity from the displacement by a low-pass of {cut_off:.3g} Hz (Savitzky-Golay, order {ORDER}, {2 * side + 1} "
-        f"samples), last {cycles} of {whole} cycles of {rate / period:.3g} Hz"
+        f"velocity from the displacement by a low-pass of {rough(cut_off)} Hz (Savitzky-Golay, order {ORDER}, {2 * side + 1} "
+        f"samples), last {cycles} of {whole} cycles of {rough(rate / period)} Hz"
     )
     return velocity[which], force[which], words
 

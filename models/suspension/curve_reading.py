@@ -310,6 +310,7 @@ def as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]
     indices = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
     if fit_error is not None or len(indices) > MOST_LINES + 1:
+        error, ends, forces = 0.0, x, force
         for error in ERRORS if fit_error is None else (float(fit_error),):
             ends, forces = lines_from_rest(x, force, slopes_at_rest(x, force, error * largest), error * largest)
             if len(ends) <= MOST_LINES + AT_REST + 1:

@@ -286,7 +286,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
         **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
         **{side: (f"the {side} stroke", stop.stroke, "m") for side, (_, stop) in (stops.sides if stops else {}).items()},
         damping=("", _ratio(c, critical), ""),
-        adjustable=("", _ratio(r**2 * damper.c_max if damper else 0.0, critical), ""),
+        adjustable=("", _ratio(r**2 * damper.c_max if damper and damper.pair is None else 0.0, critical), ""),
         tyre_damping=("", _ratio(tyre_damper, hop), ""),
         ratio=(part.ratio, vehicle.parameters.get(part.ratio), ""),
         body=("the body on it", load / GRAVITY, "kg"),
@@ -342,10 +342,11 @@ def settled(
 ) -> dict[str, "ForceCurve"]:
     """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
 
-    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one.
+    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one. A motion ratio
+    over travel stays about the equilibrium, as in a file with the new parameters.
     """
     settled = dict(curves)
-    if kind.ratios or not any(curve.at_rest for curve in curves.values()):
+    if not any(curve.at_rest for curve in curves.values()):
         return settled
     loads, now = static_loads(kind, before), static_loads(kind, parameters)
     for name, curve in curves.items():

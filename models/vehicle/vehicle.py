@@ -19,7 +19,7 @@ from models.common.schema import read
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
-from models.kinds.kind import HERE, VehicleKind
+from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
@@ -86,6 +86,10 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators", "payload")
+PERSON = (
+    " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
+    "KIND of"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +148,7 @@ class Vehicle(Shown):
             if name not in known or weight < 0:
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {listing(known)}")
 
-    def with_parameters(self, **parameters: float) -> "Vehicle":
+    def with_parameters(self, **parameters: float | str) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
 
         Args:
@@ -233,6 +237,11 @@ class Vehicle(Shown):
     def wheel_model(self) -> LinearModel:
         """Linear model whose inputs are forces at the wheels: those of actuators times their motion ratios."""
         return self.kind.model(self.kind.at_wheels(self.parameters))
+
+    @cached_property
+    def ride_points(self) -> RidePoints:
+        """The points at which the ride is measured."""
+        return self.kind.ride_points(self.linear_model)
 
     @cached_property
     def motion_ratios(self) -> Mapping[str, float]:
@@ -522,6 +531,7 @@ class Vehicle(Shown):
             *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
+            *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
 
     @property

@@ -51,13 +51,13 @@ class ReferenceResponse:
                     ahead[:, i] = forces_ahead(
                         run.controller.preview, road, steps_per_sample(road.vehicle.implementation, timestep)
                     )
-        loads = watched.held  # an acceleration is measured before a new load acts
-        felt = None if loads is None else np.concatenate([np.zeros_like(loads[:1]), loads[:-1]])
+        held = watched.held is not None
+        effects = [np.stack([getattr(one, name) for one in watched.inputs], axis=1) if held else None for name in EFFECTS]
         systems = {run.system: run for run in runs}
         made = {key: _system(run.vehicle, run.controller, timestep) for key, run in systems.items()}
         # By entry of the matrices, runs last: shapes (n, n, N) and (p, n, N); of each input (T, N, r), (n, r, N) and (p, r, N).
-        self.A, self.C, *of_inputs = (np.stack([made[run.system][i] for run in runs], axis=-1) for i in range(12))
-        inputs = zip((watched.now, watched.midway, loads, felt, ahead), of_inputs[::2], of_inputs[1::2], strict=True)
+        self.A, self.C, *of_inputs = (np.stack([made[run.system][i] for run in runs], axis=-1) for i in range(14))
+        inputs = zip((watched.now, watched.midway, *effects, ahead), of_inputs[::2], of_inputs[1::2], strict=True)
         self.inputs = [(values, B, D) for values, B, D in inputs if values is not None]
         signals, self.outputs = [signal.name for signal in vehicle.kind.signals], vehicle.linear_model.outputs
         self.index = [signals.index(name) for name in self.outputs]
@@ -113,11 +113,13 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.is_curved
 
 
+EFFECTS = ("held", "in_signals", "in_readings")  # of `RoadInput`: over the steps, in the signals, and in measurements
+
+
 def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tuple[Array, ...]:
     """Returns the sampled loop of `sim.linear.sampled_response`: A, C, and B and D of each input.
 
-    Inputs are road heights at the samples and midway, loads now and a step before, as accelerations feel them, and forces
-    that answer the road ahead.
+    Inputs are road heights at the samples and midway, loads as of `EFFECTS`, and forces that answer the road ahead.
     """
     assert isinstance(controller, Controller), "it is linear"
     cut = sampled(vehicle, controller, timestep)
@@ -129,7 +131,7 @@ def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tup
     C = model.C + model.D @ G
     reading = G @ model.jump + of_heights
     of_road = (Gamma_u @ reading, C @ model.jump + model.Cr + model.D @ of_heights, Gamma_r, np.zeros_like(model.Cr))
-    of_loads = (Gamma_l, model.Dh, Gamma_u @ felt, model.D @ felt)
+    of_loads = (Gamma_l, np.zeros_like(model.Dh), np.zeros_like(Gamma_l), model.Dh, Gamma_u @ felt, model.D @ felt)
     return Phi + Gamma_u @ G, C, *of_road, *of_loads, Gamma_u @ ahead, model.D @ ahead
 
 
@@ -155,9 +157,9 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     campaign, runs, rows = plan.campaign, plan.runs(start, stop), {}
     # Random roads are measured once their start is forgotten, others, a bump, a hump, from the start.
     # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
-    alike: dict[tuple[str, bytes, bool], list[int]] = {}
+    alike: dict[tuple[str, bytes, bool, bool], list[int]] = {}
     for i, run in enumerate(runs):
-        of = (run.inputs["controller"], reads_out(run.vehicle, campaign.timestep), run.choice.stationary)
+        of = (run.inputs["controller"], reads_out(run.vehicle, campaign.timestep), run.choice.stationary, bool(run.choice.loads))
         alike.setdefault(of, []).append(i)
     todo = list(alike.values())
     while todo:

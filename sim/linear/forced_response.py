@@ -18,8 +18,8 @@ from sim.linear.sampled_response import (
     response_of,
     road_forcing,
     taylor4,
+    with_linear_sides,
 )
-from sim.response.jumps import with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag
@@ -38,7 +38,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
     outside = [] if loads is None else [model.Bh]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
     of_heights = model.C @ model.jump + model.Cr
-    jump, add = road.heights @ model.jump.T, 0.0 if loads is None else loads @ model.Dh.T
+    jump, add = road.heights @ model.jump.T, 0.0 if loads is None else road.in_signals @ model.Dh.T
     if not vehicle.is_curved:
         push = road.midway @ Gamma_r.T + forces @ Gamma.T
         if loads is not None:

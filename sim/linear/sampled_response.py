@@ -12,8 +12,8 @@ over the step, held like a load.
 If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
 Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
-does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
-(`synth/controller/open_loop.py`), and the formulas stay as they are.
+does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
+measured acceleration, make the vehicle larger (`synth/controller/open_loop.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
@@ -45,10 +45,9 @@ from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import kept_signals
 from models.laws.linear import LinearLaw
-from models.roads.road import RoadInput, delays, under_wheels
+from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
-from sim.response.jumps import SAME_TIME, jumps_under_wheels, with_linear_sides
 from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -149,10 +148,7 @@ def sampled_responses(
     through_readings = None
     if loads is not None:
         push += loads @ Gamma_l[0].T
-        # A reading is taken before a new load acts, as before a new force does.
-        through_readings = (
-            np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
-        )
+        through_readings = np.stack([road.in_readings for road in roads]) @ readings_of_loads(cut, controller).T
     if (of_heights := heights_read(cut, controller)).any():
         through_readings = now @ of_heights.T + (0.0 if through_readings is None else through_readings)
     if controller.preview is not None:
@@ -194,7 +190,7 @@ def sampled_responses(
                 xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bh.T)
     beyond = steps.beyond(states, now, inputs) if steps is not None else np.zeros(len(roads))
     if loads is not None:
-        add = loads @ model.Dh.T
+        add = np.stack([road.in_signals for road in roads]) @ model.Dh.T
         beyond = add if steps is None else beyond + add
     runs = [response_of(model, road, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period
@@ -490,6 +486,25 @@ def response_of(
     signals = vehicle.kind.signals
     stacked = np.stack([values[signal.name] for signal in signals], axis=-1)
     return Response(road.time, signals, stacked if steady is None else stacked + steady)
+
+
+def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
+    """Returns a linear response with its values on the other side of vertical edges.
+
+    Args:
+        response: a single run over the road.
+        of_heights: jump of every output per height of the road under every wheel, shape (p, r).
+        held: see `RoadInput.vertical_edges`.
+    """
+    if not road.road.jumps:
+        return response
+    wheels, outputs = road.vehicle.kind.wheels, road.vehicle.linear_model.outputs
+    rows = dict(zip(outputs, of_heights, strict=False)) | {
+        wheel.road_displacement: unit for wheel, unit in zip(wheels, np.eye(len(wheels)), strict=True)
+    }
+    jump = np.stack([rows.get(name, np.zeros(len(wheels))) for name in response.names])
+    sides = {k: response.values[k] + jump @ edge.change for k, edge in road.vertical_edges(held).items()}
+    return response.with_sides(sides)
 
 
 def largest_timestep(vehicle: Vehicle) -> float:

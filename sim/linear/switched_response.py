@@ -38,6 +38,7 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
     law, late = controller.law.sampled(period * h), round(how.delay * period)
     windup = None if law.anti_windup is None else anti_windup_gain(law)
     heights, midway, loads = (np.stack([getattr(one, name) for one in inputs], 1) for name in ("heights", "midway", "held"))
+    acted, read = (np.stack([getattr(one, name) for one in inputs], 1) for name in ("in_signals", "in_readings"))
     rates = lag_rates(vehicle)
     dampers, at_rest = np.isin(forces, list(vehicle.dampers)), np.array([*vehicle.motion_ratios.values()])
     xi, kept = np.zeros((count, len(model.A))), np.zeros((count, law.states))
@@ -52,10 +53,10 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
     for k in range(samples):
         x = xi + heights[k] @ model.jump.T
         ratios = vehicle.ratios_along(dict(zip(model.states, x.T, strict=True)).__getitem__)
-        if k % period == 0:  # a reading contains the forces and loads that acted until then
+        if k % period == 0:  # a reading contains the forces that acted until then
             pushed, pulls = terms(acting, ratios)
             shown = dict(zip(forces, (pushed / ratios).T, strict=True))
-            shown |= motion.outputs(xi, heights[k], pushed, pulls, loads[k - 1] if k else np.zeros_like(loads[0]))
+            shown |= motion.outputs(xi, heights[k], pushed, pulls, read[k])
             y = np.stack([shown[name] for name in controller.measured], axis=1) if controller.measured else np.zeros((count, 0))
             closing = (np.where(of.adjustable, -(x @ V.T), 0.0) + of.at_rest) * (ratios / at_rest)
             requested = y @ law.D.T + kept @ law.C.T
@@ -82,7 +83,7 @@ def switched_response(controller: Controller, inputs: Sequence[RoadInput]) -> Re
         ratios = vehicle.ratios_along(values.__getitem__)
         pushed, pulls = terms(given[:, i], ratios)
         speeds = dict(zip(forces, ((x @ V.T) * (ratios / at_rest)).T, strict=True))
-        values |= motion.outputs(states[:, i], heights[:, i], pushed, pulls, loads[:, i])
+        values |= motion.outputs(states[:, i], heights[:, i], pushed, pulls, acted[:, i])
         values |= dict(zip(forces, (pushed / ratios).T, strict=True))
         values |= damper_signals(vehicle, np.where(dampers, given[:, i], 0.0), missing[:, i])
         for one in vehicle.adjustable:

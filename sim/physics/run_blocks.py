@@ -111,6 +111,8 @@ class BatchInputs:
             the first failure.
         held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
             (T, N, l + r); None if there are none.
+        effects: loads in the signals of the samples and in the measurements, see `RoadInput.in_signals`, each as `held`; None
+            without loads.
         beyond_edges: road heights on the other side of vertical edges [m], shape (N, r), by sample.
     """
 
@@ -125,6 +127,7 @@ class BatchInputs:
     beyond: Array | None = None
     failures: dict[int, Failure] | None = None
     held: Array | None = None
+    effects: tuple[Array, Array] | None = None
     beyond_edges: Mapping[int, Array] = field(default_factory=dict[int, Array])
 
 
@@ -264,6 +267,7 @@ class _Loop:
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)
         now, midway = course.now[:, runs], course.midway[:, runs]
+        in_signals, in_readings = (None, None) if course.effects is None else (one[:, runs] for one in course.effects)
         felt, of_reading = readout.felt, self._map(actuators)
         controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
@@ -272,6 +276,11 @@ class _Loop:
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
+        # Accelerations of runs with loads are others inside the step, under another load.
+        late = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) > int(mujoco.mjtStage.mjSTAGE_VEL)
+        loaded = np.zeros(count, dtype=bool) if held is None else held[..., :loads].any(axis=(0, 2))
+        at_sample = np.ix_(late, loaded)
+        under_load = sensors[at_sample]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
         if course.start is not None:
             starts = course.start[runs]
@@ -304,6 +313,8 @@ class _Loop:
                 reading[:, :moved] = motion
                 if k in sampled:
                     if fresh:
+                        if in_readings is not None:
+                            pushed[:, readout.pushed] = in_readings[k, :, :loads]
                         heights[:, readout.mocap] = level[i]
                         batch.forward()
                     if stage:
@@ -327,22 +338,27 @@ class _Loop:
                 if actuators.lags:
                     acts[i] = activations
                 if held is not None:
-                    pushed[:, readout.pushed] = held[k, :, :loads]
+                    pushed[:, readout.pushed] = (held if in_signals is None else in_signals)[k, :, :loads]
                     if tyres:
                         controls[:, tyres] = held[k][:, speeds]
-                if felt:
+                if felt or in_signals is not None:
                     heights[:, readout.mocap] = level[i]
                     batch.forward()
                     sensed[i + 1] = sensors
+                    under_load = sensors[at_sample]
                 if k in course.beyond_edges:
                     side = course.beyond_edges[k][runs][None]
                     heights[:, readout.mocap] = side[0]
                     batch.forward()
                     others[k] = recorder.signals(sensors[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
+                if in_signals is not None and held is not None:
+                    pushed[:, readout.pushed] = held[k, :, :loads]
                 heights[...] = roads[i]
                 batch.step(stage=self.after)
                 if not felt:
                     sensed[i + 1] = sensors
+                    if in_signals is not None:
+                        sensed[i + 1][at_sample] = under_load
             if self.after and not felt:
                 # The evaluation after a step has overwritten the step's own readings with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]

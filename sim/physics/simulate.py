@@ -5,7 +5,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at `RoadInput.midway`: its height midway through the
   step, and of a measured road the mean height over the step;
 - signals are read with the road's height at the sample;
-- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals at its start are under that load;
+- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals are read with the load there;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
@@ -23,7 +23,7 @@ from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from sim.physics.driver import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
-from sim.response.jumps import Jumps, vertical_edges, with_sides
+from sim.response.jumps import Jumps
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import has_anti_windup
@@ -105,13 +105,24 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
     shares = shared(len(vehicles), 1 if any(one.serial for one in controllers) else threads or cores())
     edges = (0, len(time))
-    jumps = [vertical_edges(road) for road in once]
+    jumps = [road.vertical_edges() for road in once]
     sides = {k: now[k].copy() for one in jumps for k in one}
     for i, one in enumerate(jumps):
         for k, edge in one.items():
             sides[k][i] += edge.change
     held = held_on(inputs)
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held, beyond_edges=sides)
+    course = BatchInputs(
+        vehicles,
+        controllers,
+        now,
+        midway,
+        timestep,
+        edges,
+        beyond=beyond,
+        held=held,
+        beyond_edges=sides,
+        effects=effects_on(inputs),
+    )
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -128,7 +139,7 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
         of_forces = Jumps(vehicles, vehicles[0].linear_model.outputs)(recorded)
         response = replace(response, before={name: response[name] - jump for name, jump in of_forces.items()})
     if block.others:
-        response = with_sides(response, {k: other.T for k, other in block.others.items()})
+        response = response.with_sides({k: other.T for k, other in block.others.items()})
     states = [kept_signals(range(1, one.states + 1)) for one in controllers]
     periods = [steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles]
     scales = [one.state_scale(period) for one, period in zip(controllers, periods, strict=True)]
@@ -173,6 +184,13 @@ def held_on(inputs: Sequence[RoadInput]) -> Array | None:
     return np.stack([road.held for road in inputs], axis=1) if any(road.pushed for road in inputs) else None
 
 
+def effects_on(inputs: Sequence[RoadInput]) -> tuple[Array, Array] | None:
+    """Returns `RoadInput.in_signals` and `RoadInput.in_readings` of all runs, each as `held_on`; None without loads."""
+    if not any(road.loaded for road in inputs):
+        return None
+    return np.stack([road.in_signals for road in inputs], axis=1), np.stack([road.in_readings for road in inputs], axis=1)
+
+
 class MonitoredBatch:
     """N runs from rest over a road each, whose divergence and end of the linear regime are detected block by block.
 
@@ -180,7 +198,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
-        held: see `BatchInputs`.
+        held, effects: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
@@ -199,7 +217,7 @@ class MonitoredBatch:
             if isinstance(road.felt, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
-        self.held = held_on(inputs)
+        self.held, self.effects = held_on(inputs), effects_on(inputs)
         self.velocities: Array | None = None
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
             self.velocities = np.stack([road.velocities for road in inputs], axis=2)
@@ -237,6 +255,7 @@ class MonitoredBatch:
             beyond=self.beyond,
             failures=self.failures,
             held=self.held,
+            effects=self.effects,
         )
         for block in in_blocks(course):
             self.ran_away |= block.ran_away & np.isinf(self.diverged)

@@ -315,7 +315,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
-    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: seconds instead of a minute")
+    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: a few seconds instead of 20 s")
     parser.add_argument(
         "--front",
         metavar="AXES",

@@ -1,92 +1,15 @@
-"""Jumps of signals at the samples, where a held force, the held coefficient of an adjustable damper, or the road changes.
+"""Jumps of signals at the samples, where a held force changes, or the held coefficient of an adjustable damper.
 
 A run's signal at a sample is its value just after the jump, with the new force. Just before, it was less by D (u[k] - u[k-1]),
 with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, u jumps by
--(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but scales both.
+-(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but scales both."""
 
-At a vertical edge of the road, MuJoCo's road jumps at a sample. The signal of that sample is its value on one side of the edge;
-the value on the other side is in `Response.before`.
-"""
-
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import Road, RoadInput, delays
 from models.vehicle.vehicle import Vehicle
-from sim.response.response import Response
-
-SAME_TIME = 1e-12  # relative rounding of a time over the timestep
-SAME_VALUE = 1e-9  # of a signal's peak: a smaller difference is rounding
-
-
-def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
-    """Returns the jumps of a road's height: time [s], wheel by index, and how far [m]."""
-    later = enumerate(delays(road, vehicle))
-    return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
-
-
-class Edge(NamedTuple):
-    """Vertical edge of the road at a sample: the change of the heights to its other side [m], shape (r,).
-
-    `behind` is True if the sample has the height behind the edge.
-    """
-
-    change: Array
-    behind: bool
-
-
-def vertical_edges(road: RoadInput, held: bool = True) -> dict[int, Edge]:
-    """Returns the vertical edges of a road, by sample.
-
-    Args:
-        road: the road.
-        held: True for the road that MuJoCo holds over steps. It jumps at the first sample of a step if its midpoint is behind the
-            edge, else at the last one, which already has the height behind the edge. False for the last samples before edges.
-    """
-    edges: dict[int, Edge] = {}
-    for at, wheel, height in jumps_under_wheels(road.road, road.vehicle):
-        k = math.floor((at - road.time[0]) / road.timestep * (1 + SAME_TIME))
-        if 0 <= k < len(road.time) - 1:
-            later = bool(held and abs(road.midway[k, wheel] - road.heights[k, wheel]) < abs(height) / 2)
-            edge = edges.setdefault(k + later, Edge(np.zeros(road.heights.shape[1]), later))
-            edge.change[wheel] += -height if later else height
-    return edges
-
-
-def with_sides(response: Response, others: Mapping[int, Array]) -> Response:
-    """Returns a response with its values on the other side of vertical edges, shape (..., S) by sample, in `before`."""
-    before = dict(response.before)
-    for i, name in enumerate(response.names):
-        known, scale = response[name], SAME_VALUE * np.abs(response[name]).max(initial=0.0)
-        if any(np.any(np.abs(other[..., i] - known[..., k]) > scale) for k, other in others.items()):
-            before[name] = before.get(name, known).copy()
-            for k, other in others.items():
-                before[name][..., k] = other[..., i]
-    return replace(response, before=before)
-
-
-def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
-    """Returns a linear response with its values on the other side of vertical edges.
-
-    Args:
-        response: a single run over the road.
-        of_heights: jump of every output per height of the road under every wheel, shape (p, r).
-        held: see `vertical_edges`.
-    """
-    if not road.road.jumps:
-        return response
-    wheels, outputs = road.vehicle.kind.wheels, road.vehicle.linear_model.outputs
-    rows = dict(zip(outputs, of_heights, strict=False)) | {
-        wheel.road_displacement: unit for wheel, unit in zip(wheels, np.eye(len(wheels)), strict=True)
-    }
-    jump = np.stack([rows.get(name, np.zeros(len(wheels))) for name in response.names])
-    sides = {k: response.values[k] + jump @ edge.change for k, edge in vertical_edges(road, held).items()}
-    return with_sides(response, sides)
 
 
 class Jumps:

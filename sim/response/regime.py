@@ -1,4 +1,4 @@
-"""Ends of the linear regime, and their times: a tyre off the road, a suspension, actuator, damper or curve at its limit."""
+"""Ends of the linear regime, and their times: a tyre off the ground, a suspension, actuator, damper or curve at its limit."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+SAME_VALUE = 1e-9  # of a signal's peak: a smaller difference is rounding
 SILENT = 1e-3  # smallest scale of a signal, relative to the loudest of its unit
 
 
@@ -92,6 +93,17 @@ class Response(Shown):
         if not signals:
             return self
         return replace(self, signals=(*self.signals, *signals), values=np.concatenate([self.values, values], axis=-1))
+
+    def with_sides(self, others: Mapping[int, Array]) -> "Response":
+        """Returns the response with its values on the other side of vertical edges, shape (..., S) by sample, in `before`."""
+        before = dict(self.before)
+        for i, name in enumerate(self.names):
+            known, scale = self[name], SAME_VALUE * np.abs(self[name]).max(initial=0.0)
+            if any(np.any(np.abs(other[..., i] - known[..., k]) > scale) for k, other in others.items()):
+                before[name] = before.get(name, known).copy()
+                for k, other in others.items():
+                    before[name][..., k] = other[..., i]
+        return replace(self, before=before)
 
     def only(self, names: Sequence[str]) -> "Response":
         """Returns the response with some of its signals."""

@@ -81,7 +81,7 @@ class Agreement(Shown):
 
     Attributes:
         signals: differences of each output signal from linear analysis, by name.
-        lift_off: intervals [s] in which a tyre is off the road.
+        lift_off: intervals [s] in which a tyre is off the ground.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which linear analysis applies [s]; infinite for all of the run.
         cause: largest cause of the differences from linear analysis, in words.
@@ -198,7 +198,7 @@ def to_first_order(agreement: Agreement, prediction: Prediction, physics: Respon
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the road: first and last sample [s], in order of their start."""
+    """Returns the intervals in which any tyre is off the ground: first and last sample [s], in order of their start."""
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
         off = np.concatenate([[False], limit.towards(limit.of(physics)) >= AT * limit.value, [False]])
@@ -208,7 +208,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def first_loose(met: RoadInput, physics: Response) -> float:
-    """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
+    """Returns the first sample [s] before which a tyre may have been off the ground within a step; infinite without one.
 
     MuJoCo holds the road at one height over a step, so within it a tyre is shorter or longer than at the samples. The
     curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.

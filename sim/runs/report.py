@@ -357,7 +357,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     """Returns how often tyres leave the ground, the first such interval, and the longest time."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
-    return f"lift-off: a tyre leaves the road {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
+    return f"lift-off: a tyre leaves the ground {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:
@@ -502,8 +502,8 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
     if delayed:
-        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)}"
-        texts.append(f"{acts} on the damping coefficient, not on the force, which follows the present suspension velocity")
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on the damping coefficient"
+        texts.append(f"{acts}, not on the force, which follows the present suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:

@@ -111,8 +111,8 @@ def compare_steps(
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     ahead, there = _stepped(motion, starts)
-    shown = _shown(motion, starts, physics, starts.stages[0], starts.loads)
-    readings = _readings(motion, starts, physics, commanded.measured)
+    shown = _shown(motion, starts, physics, starts.stages[0], road.in_signals[: len(starts.state)])
+    readings = _readings(motion, starts, physics, commanded.measured, road.in_readings[: len(starts.state)])
     names = (*motion.names, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
     # A signal is rounded, and so are those that tell it.
@@ -232,10 +232,12 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     return {name: values for name, values in shown.items() if name in names and name not in motion.names}
 
 
-def _readings(motion: "Motion", starts: _Starts, physics: Response, measured: Mapping[str, Array]) -> dict[str, Array]:
-    """Returns the measured accelerations at the starts by the equations, each of shape (K,).
+def _readings(
+    motion: "Motion", starts: _Starts, physics: Response, measured: Mapping[str, Array], loads: Array
+) -> dict[str, Array]:
+    """Returns the measured accelerations at the starts under these loads by the equations, each of shape (K,).
 
-    A reading is taken before the new commands and loads act.
+    A reading is taken before the new commands act.
     """
     model = starts.vehicle.linear_model
     some = [name for name in measured if name in model.outputs]
@@ -243,7 +245,7 @@ def _readings(motion: "Motion", starts: _Starts, physics: Response, measured: Ma
     if not some:
         return {}
     now, lags = starts.stages[0], lag_rates(starts.vehicle) > 0
-    before, loads = (np.concatenate([np.zeros_like(one[:1]), one[:-1]]) for one in (now, starts.loads))
+    before = np.concatenate([np.zeros_like(now[:1]), now[:-1]])
     shown = _shown(motion, starts, physics, np.where(lags, now, before), loads)
     return {name: shown[name] for name in some if name in shown}
 

@@ -49,6 +49,7 @@ class Designs:
         plant: generalized plant of that bound.
         flat: gains that may move at little cost, see `_flatness`.
         passive: expected ride of the passive suspension [m/s2], or None.
+        felt: expected ride by point and controller, of a vehicle with a person; those with a person first.
     """
 
     vehicle: Vehicle
@@ -57,6 +58,7 @@ class Designs:
     plant: GeneralizedPlant
     flat: dict[str, list[float | None]]
     passive: float | None
+    felt: Mapping[str, Mapping[str, float | None]]
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
@@ -103,8 +105,11 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
     rows = tuple(_finished(vehicle, row, options.fragility) for row in rows)
     passive = expected_ride(vehicle, designer.design("passive"))
     limit = designer.beyond_control
+    where, loops = vehicle.ride_points, {row.name: row.controller for row in rows if row.controller is not None}
+    loops = {"passive": designer.design("passive"), **loops}
+    felt = {at: {name: expected_ride(vehicle, one, [at]) for name, one in loops.items()} for at in where.all if where.people}
     stage.end()
-    return Designs(vehicle, rows, limit, designer.plant, flat, passive)
+    return Designs(vehicle, rows, limit, designer.plant, flat, passive, felt)
 
 
 def _designed(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
@@ -231,7 +236,8 @@ def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict
         "controllers": [row_object(row) for row in designs.rows],
         "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
         "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
-        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.is_curved else {}),
+        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.is_curved else {})
+        | ({"points": designs.felt} if designs.felt else {}),
         "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
         **written(outputs),
     }
@@ -279,24 +285,30 @@ def document(designs: Designs, options: Namespace) -> Document:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Returns the expected ride of every controller, and those that ride worse than the passive suspension."""
-    rides, passive = {row.name: row.ride for row in designs.rows if row.ride is not None}, designs.passive
+    """Returns the expected ride of every controller, at each point of a vehicle with a person; see `_rides_at`."""
+    rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
-    if not rides:
-        return [*notes(*without)]
-    rides = ({"passive": passive} if passive is not None else {}) | rides
+    return [one for at, known in (designs.felt or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
+        *notes(*without)
+    ]
+
+
+def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
+    """Returns the expected ride of every controller at a point, and those that ride worse than the passive suspension."""
+    rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
+    if not rides.keys() & {row.name for row in designs.rows}:
+        return ()
     changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
     given = ", if dampers give every force" if designs.vehicle.dampers else ""
-    loop = (
-        f"Ride of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{f', by {METHOD}' * designs.vehicle.is_curved}"
-    )
+    method = f", by {METHOD}" if designs.vehicle.is_curved else ""
+    loop = f"Ride{f' at {at}' if at else ''} of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{method}"
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]
     if worse:
         said.append(f"The ride is WORSE than passive: {', '.join(worse)}. A small norm alone does not make a car comfortable.")
-    return [*notes(*said, *without, detail="brief")]
+    return notes(*said, detail="brief")
 
 
 def _without_ride(designs: Designs) -> dict[str, str]:

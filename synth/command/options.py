@@ -11,7 +11,7 @@ MOST_POINTS = 1000  # that `--point` can name
 AXES_HELP = (
     "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride between "
     "these frequencies [Hz]) and tolerance=10 (the norm of [performance] with measurement errors of 10 %%). Separate axes by "
-    "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 8 s, with tolerance 20 s"
+    "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 15 s, with tolerance 20 s"
 )
 
 ALONE = {  # what an option does, and the options that it can be combined with

@@ -21,6 +21,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name, by_text, rough
+from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import DiskMargin, disk_margin
@@ -28,6 +29,8 @@ from synth.controller.loop_transfer import LoopTransfer, loop_transfer
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
 FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
+GAIN = Field[float]("gain", float, ".3g", unit="dB")
+TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
 EXACT = 1e-9  # relative to the distance from 1: of a factor at which the loop becomes unstable
 
 
@@ -146,14 +149,14 @@ def _factor(factor: float) -> str:
     """Returns a factor with two digits of its distance from 1, at most six behind the point, and in dB."""
     distance = abs(factor - 1)
     digits = f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"
-    return f"{digits} ({gain_in_db(factor):.2g} dB)"
+    return f"{digits} ({decibels(factor)})"
 
 
-def gain_in_db(factor: float) -> float:
-    """Returns a factor above 0 in dB."""
-    return 20 * math.log10(factor)
+def decibels(factor: float) -> str:
+    """Returns a factor above 0 in dB, with the unit."""
+    return GAIN.text(20 * math.log10(factor))
 
 
 def _disk(size: float) -> str:
     """Returns a disk margin, and the largest turn of all forces in degrees."""
-    return f"{size:#.2g} ({math.degrees(DiskMargin(size, math.nan).phase):.2g}°)"
+    return f"{size:#.2g} ({TURN.digits(DiskMargin(size, math.nan).phase)})"

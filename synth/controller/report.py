@@ -205,12 +205,17 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
         texts.append(f"{OF} a loop whose semi-active dampers give every force{lag}.")
-    if vehicle.fitted:
-        from models.suspension.fitted_curves import lines_at_rest
+    return [*texts, *line_notes(vehicle)]
 
-        slopes = lines_at_rest(vehicle.fitted)
-        texts += [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []
-    return texts
+
+def line_notes(vehicle: Vehicle) -> list[str]:
+    """Returns a note on the linearisation at equilibrium; empty for a vehicle without curves."""
+    if not vehicle.fitted:
+        return []
+    from models.suspension.fitted_curves import lines_at_rest
+
+    slopes = lines_at_rest(vehicle.fitted)
+    return [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []
 
 
 OF = "Bound, norm and poles are those of"

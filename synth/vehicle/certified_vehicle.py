@@ -1,9 +1,11 @@
 """The vehicle for which a saved certificate was proved, and what has changed in the vehicle file since."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from models.common.errors import InputError
+from models.common.printed import entry as as_entry
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.record import SAME, VEHICLE
@@ -31,35 +33,27 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
     Args:
         entry: section of the vehicle file, whose certificate does not hold.
     """
-    record, unladen = entry.certificate or {}, vehicle.unladen
-    then = record.get(VEHICLE)
-    payload = vehicle.parameters.get("sprung_mass", 0.0) - unladen.parameters.get("sprung_mass", 0.0)
-    loaded = [f"payload {payload:g} kg"] if unladen is not vehicle else []
+    unladen, then = vehicle.unladen, (entry.certificate or {}).get(VEHICLE)
+    heavier = [vehicle.parameters[name] - unladen.parameters[name] for name in unladen.parameters if name == "sprung_mass"]
+    payload = [f"payload {mass:g} kg" for mass in heavier if mass]
     if not isinstance(then, Mapping):  # saved by an earlier version
-        return f"{CHANGED}{loaded[0]}" if loaded and _holds(unladen, entry) else ""
-    differences = _differences(vehicle, then)
-    if loaded and differences and len(others := _differences(unladen, then)) < len(differences):
-        differences = [*loaded, *others]
-    return f"{CHANGED}{', '.join(differences)}" if differences else ""
-
-
-def _holds(vehicle: Vehicle, entry: ControllerEntry) -> bool:
-    """Returns True if every claim of a certificate on the ideal loop holds for a vehicle."""
-    try:
-        return not verify_record(problem(vehicle, entry.measured, entry.hardware), entry)[1]
-    except InputError:
-        return False
+        with suppress(InputError):
+            if payload and not verify_record(problem(unladen, entry.measured, entry.hardware), entry)[1]:
+                return f"{CHANGED}{payload[0]}"
+        return ""
+    changes = min(payload + _differences(unladen, then), _differences(vehicle, then), key=len)
+    return f"{CHANGED}{', '.join(changes)}" if changes else ""
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:
     """Returns the numbers that differ from those of the certified vehicle, in words."""
-    texts, units = list[str](), {one.name: one.unit for one in vehicle.kind.parameters}
+    texts, units = list[str](), {one.name: f" {one.unit}" for one in vehicle.kind.parameters}
     for section, now in vehicle_record(vehicle).items():
         before = then.get(section, {})
-        before = before if isinstance(before, Mapping) else {}
         for name in dict.fromkeys((*now, *before)):
-            new, old = now.get(name, 0.0), before.get(name, 0.0)
-            if not isinstance(old, (int, float)) or abs(new - old) > SAME * abs(new):
-                of = "" if section == "parameters" else f"[{section}] "
-                texts.append(f"{of}{name} {new:.6g} instead of {old:.6g} {units.get(name, '') if not of else ''}".rstrip())
+            new, old = now.get(name, 0.0), float(before.get(name, 0.0))
+            if abs(new - old) > SAME * abs(new):
+                where = "" if section == "parameters" else f"[{section}] "
+                unit = "" if where else units.get(name, "")
+                texts.append(f"{where}{name} {as_entry(new)} instead of {as_entry(old)}{unit}")
     return texts

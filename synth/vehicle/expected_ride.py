@@ -19,7 +19,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.quadrature import sample_band
 from models.common.threads import one_thread
-from models.kinds.signals import UNSPRUNG_ACCELERATION
 from models.laws.filter import WEIGHTINGS, Filter
 from models.roads.iso8608 import Iso8608
 from models.roads.road import track_width
@@ -35,12 +34,15 @@ WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
 @one_thread()
-def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the expected weighted rms acceleration at the vehicle's worst point on an average road [m/s2], or None.
+def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
+    """Returns the expected weighted rms acceleration at the worst of some points on an average road [m/s2], or None.
 
     It is None if the ideal loop is not stable, no vertical acceleration of the body is a signal, or no equivalent line exists.
+
+    Args:
+        points: accelerations, by signal. Default: those with a person, or without a person all of the body.
     """
-    felt = _felt(vehicle)
+    felt = points or vehicle.ride_points.worst_of
     if not felt or not controller.certificate.stable:
         return None
     if vehicle.is_curved:
@@ -54,14 +56,8 @@ def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
     """Returns the reason for which a stable loop has no expected ride; empty if the reason is another one."""
-    curved = vehicle.is_curved and controller.certificate.stable and _felt(vehicle)
+    curved = vehicle.is_curved and controller.certificate.stable and vehicle.ride_points.worst_of
     return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
-
-
-def _felt(vehicle: Vehicle) -> list[str]:
-    """Returns the names of the body's vertical accelerations."""
-    outputs, unsprung = vehicle.linear_model.outputs, UNSPRUNG_ACCELERATION.name
-    return [name for name in outputs if vehicle.kind.signal(name).unit == "m/s2" and not name.startswith(unsprung)]
 
 
 def _deviations(

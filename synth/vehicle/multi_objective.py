@@ -39,9 +39,9 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     """
     members = []
     for i, member in enumerate(goals.family or ({},)):
-        parameters = {name: value * member.get(name, 1.0) for name, value in vehicle.parameters.items()}
+        scaled = {name: value * member[name] for name, value in vehicle.parameters.items() if name in member}
         with error_in(f"[controllers.{entry.name}] family[{i}]:"):
-            members.append(replace(vehicle, parameters=parameters).checked())
+            members.append(vehicle.with_parameters(**scaled))
     return members
 
 

@@ -68,7 +68,7 @@ def test_quarter_car(paper, designer):
     ],
 )
 def test_with_kinks_it_balances_to_less(kind, reality, road):
-    """Tyres off the road, bump stops, saturation, lag, hold and delay: it still balances, and better with a smaller step."""
+    """Tyres off the ground, bump stops, saturation, lag, hold and delay: it still balances, and better with a smaller step."""
     coarse, fine = (balance(kind, reality, "I", road, timestep) for timestep in (4e-3, 5e-4))
     assert coarse.balances
     assert fine.residual < 1e-5

@@ -20,6 +20,7 @@ from synth.command.check import UNPROVED, check, proved
 from synth.command.save import save
 from synth.controller.controller import Controller
 from synth.plant.generalized import GeneralizedPlant
+from synth.vehicle.certified_vehicle import changed_since
 from synth.vehicle.designer import Designer, certify_given
 from tests.support.commands import refused
 from tests.support.drives import EVERY_DRIVE
@@ -333,3 +334,24 @@ def test_said_by_check(vehicles, capsys):
     assert "FAILS: the certificate claims that the norm is" in capsys.readouterr().out
     with pytest.raises(InputError, match="norm = 'low' in a certificate must be"):
         synth(["--check", str(vehicles["broken"]), "--controller", GIVEN])
+
+
+@pytest.mark.parametrize("recorded", [True, False], ids=["saved now", "saved before"])
+def test_what_changed_since_a_certificate_is_named(recorded, tmp_path, capsys):
+    """A payload, a parameter or a weight that changed after `--save` is named; the payload also for older files."""
+    assert synth(["--controller", "II", "--save", str(tmp_path / "car.toml")]) == 0
+    text = (tmp_path / "car.toml").read_text()
+    text = text if recorded else re.sub(r"\nvehicle = .*", "", text)
+    cases = {
+        "payload 100 kg": text + "\n[payload]\nmass = 100.0\n",
+        "sprung_mass 550 instead of 504.5 kg": text.replace("sprung_mass = 504.5", "sprung_mass = 550.0", 1),
+        "[performance] tyre_deflection 0.4 instead of 0.2": text.replace("tyre_deflection = 0.2", "tyre_deflection = 0.4", 1),
+    }
+    for change, changed in [*cases.items()][: 3 if recorded else 1]:
+        (tmp_path / "changed.toml").write_text(changed)
+        capsys.readouterr()
+        assert synth(["--check", str(tmp_path / "changed.toml"), "--controller", "II_designed", "--json"]) == 1
+        (row,) = json.loads(capsys.readouterr().out)["controllers"]
+        assert row["failures"] == [f"the vehicle is no longer the one that was certified: {change}"]
+        vehicle = read_vehicle(tmp_path / "changed.toml")
+        assert changed_since(vehicle, vehicle.controllers["II_designed"]) == row["failures"][0]  # as commands that drive print

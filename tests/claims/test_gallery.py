@@ -114,14 +114,22 @@ def test_by_formulas(printed):
         assert peak["mujoco"] == pytest.approx(peak["exact"], rel=2e-4)  # a car of 1 ms, against the continuous loop
 
 
+def test_a_part_of_the_gallery_counts_no_sources(capsys):
+    """The number of all sources, and those without numbers, are printed for the whole gallery alone."""
+    assert main(["paper", "mathworks", "--brief"]) == 0
+    said = prose(capsys.readouterr().out)
+    assert "published sources" not in said
+    assert "have no numbers" not in said
+
+
 def test_what_is_not_reproduced(mine, capsys):
     """A number that is off in its last digit is not reproduced, and the exit code says so; a reason explains no more than it
     says."""
     for value, more, code, word in (
-        ("56.27", "", 0, "1 numbers are reproduced to all digits"),
+        ("56.27", "", 0, "1 number is reproduced to all digits."),
         ("56.28", "", 1, "zero sprung_acceleration is NOT REPRODUCED: 56.2731434, not 56.28."),
-        ("56.28", 'reason = "rounded"\nwithin = 2e-4\n', 0, "and 1 differ for a known reason."),
-        ("56.48", 'reason = "rounded"\nwithin = 2e-4\n', 1, "1 are NOT REPRODUCED"),
+        ("56.28", 'reason = "rounded"\nwithin = 2e-4\n', 0, "and 1 differs for a known reason."),
+        ("56.48", 'reason = "rounded"\nwithin = 2e-4\n', 1, "1 number is NOT REPRODUCED."),
     ):
         mine(ENTRY + more, value)
         assert main(["mine"]) == code

@@ -527,3 +527,19 @@ def test_which_options_go_together(tmp_path):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])
     assert not list(tmp_path.iterdir())
     assert {path.name for path in HERE.iterdir()} == {"fmi.c", "fmu.h", "linear.c"}
+
+
+def test_a_discrete_law_is_called_discrete(tmp_path, capsys):
+    """The description of a sampled controller, and the title of a loop that replaces a discrete law, contain this."""
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    law = "A = [[0.9]]\nB = [[0.1]]\nC = [[-900.0]]\nD = [[0.0]]\nsample_period = 4e-3\n"
+    text += f'[implementation]\nsample_period = 4e-3\n[controllers.mine]\nmeasured = ["sprung_velocity"]\n{law}'
+    (tmp_path / "car.toml").write_text(text)
+    for part, words in (
+        ("controller", "The law is discrete: each step must last 0.004 s"),
+        ("loop", "continuous counterpart (Tu"),
+    ):
+        file = tmp_path / f"{part}.fmu"
+        assert main(["--vehicle", str(tmp_path / "car.toml"), "--export", str(file), "--part", part, "--controller", "mine"]) == 0
+        assert words in zipfile.ZipFile(file).read("modelDescription.xml").decode()
+        assert "continuous time" not in prose(capsys.readouterr().out)

@@ -56,7 +56,12 @@ def nothing_designed(monkeypatch):
     monkeypatch.setattr(Designer, "design", begun)
 
 
+QUOTES = "put quotes around a value that contains spaces, as in"
 REFUSED = [
+    ("sim.drive --controller I --speed 90 km/h", "unrecognized argument 'km/h'", f"{QUOTES} --speed '90 km/h'"),
+    ("sim.drive --controller I --road bump:height=60 mm", f"{QUOTES} --road 'bump:height=60 mm'"),
+    ("sim.bump --controller I II", "or repeat --controller for several values"),
+    ("sim.new my car.toml", f"{QUOTES} 'my car.toml'"),
     ("sim.bump --controller all --controller I", "all includes every controller"),
     ("sim.bump --controller I --controller II --controller I", "--controller I is given twice"),
     ("sim.bump --controller I --no-logs --logs x", "--logs: not allowed with argument --no-logs"),

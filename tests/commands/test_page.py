@@ -7,6 +7,8 @@ import hashlib
 import itertools
 import os
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 
@@ -25,7 +27,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
 from sim.response.regime import REGIME_ENDS
 from sim.studies.validity.report import NOTHING
-from tests.support.commands import ROOT
+from tests.support.commands import ROOT, environment
 from tests.support.reading import number
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
@@ -432,3 +434,16 @@ def test_gains_are_matrices(designer):
     assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
     assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
     assert gain_table(vehicle, designer.design("passive")) is None
+
+
+@pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "svg"])
+def test_a_backend_of_another_environment(backend, tmp_path):
+    """A picture is drawn whatever MPLBACKEND names; a backend that exists stays that of the caller's own figures."""
+    code = "import pathlib; from models.document.figure import *; from models.document.picture import write_picture\n"
+    code += f"write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', ()),)), pathlib.Path({str(tmp_path / 'a.png')!r}))\n"
+    code += "import matplotlib, os; print(os.environ['MPLBACKEND'], matplotlib.rcParams['backend'])"
+    words, own = [sys.executable, "-c", code], environment() | {"MPLBACKEND": backend}
+    printed = subprocess.run(words, cwd=ROOT, env=own, capture_output=True, text=True, check=True).stdout.split()
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert printed[0] == backend
+    assert backend != "svg" or printed[1] == "svg"

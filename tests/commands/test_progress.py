@@ -50,7 +50,7 @@ def test_stages_are_counted(monkeypatch):
 
 
 def test_a_line_that_lasts_counts_its_seconds(monkeypatch):
-    """A design that runs for long shows its time once a second, until the next line; no thread is left when the line is cleared."""
+    """A long design shows its time once a second until the next line; no thread is left when the line is cleared."""
     shown = terminal(monkeypatch)
     monkeypatch.setattr(printed, "LASTING", 0.05)
     printed.show("[1/2] controller slow")

@@ -47,7 +47,7 @@ semi-active dampers and laws                                   1290    845    14
 curves of dampers and springs, statistical linearisation       2754   2285     68
     models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
-    sim/physics/surface_steps.py sim/runs/force_diagram.py
+    sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    237      0
@@ -106,7 +106,7 @@ plant algebra, filters, any plant                              2254   1808    31
 synth command, controller record, designer                     3209    620    150
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
-    synth/vehicle/{__init__,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
+    synth/vehicle/{__init__,certified_vehicle,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
 log re-verification                                             846    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
@@ -147,8 +147,8 @@ commands that drive                                             995    960    36
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   3448   1486
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
-    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,sentences,shared,site}.py
-    tests/benchmarks/*
+    tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
+    tests/benchmarks/* tests/support/ruler/*
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
     docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
 """

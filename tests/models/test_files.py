@@ -1,6 +1,7 @@
 """Writing and reading of files: what is written is complete or as it was, and what cannot be read is one line."""
 
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -11,7 +12,8 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.files import check_file, check_folder, made_folder, read_bytes, read_text, reading, together, whole_file
-from tests.support.commands import refused
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from tests.support.commands import main_of, refused
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="modes, pipes and links of POSIX")
 
@@ -207,3 +209,31 @@ def test_several_files_get_their_names_together(tmp_path):
     assert (tmp_path / "a.csv").read_text() == (folder / "b.csv").read_text() == "new"
     assert names(folder) == ["b.csv"]
     assert names(tmp_path) == ["a.csv", "new"]
+
+
+def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch, capsys):
+    """A path may begin with ~ in options, roads, loads and tables of vehicle files, and contain spaces; a law's may not."""
+    home = tmp_path / "a home"
+    home.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(tmp_path)
+    (home / "damper.csv").write_text("velocity [m/s],force [N]\n-1,-500\n0,0\n1,500\n")
+    (home / "hump.csv").write_text("0,0\n1,0.01\n2,0\n")
+    (home / "push.csv").write_text("time [s],heave [N]\n0,0\n1,10\n")
+    text = re.sub("suspension_damping = .*", "", read_vehicle("quarter_car").text)
+    (home / "my car.toml").write_text(text + '[curves]\nsuspension_damping = { file = "~/damper.csv" }\n')
+    assert read_vehicle("~/my car.toml").parameters["suspension_damping"] == pytest.approx(500.0)
+    drive = ["--vehicle", "~/my car.toml", "--controller", "passive", "--duration", "0.1", "--speed", "10", "--no-logs"]
+    assert main_of("sim.drive")([*drive, "--road", "~/hump.csv", "--load", "~/push.csv", "--csv", "~/run 1.csv"]) == 0
+    assert names(home) == ["damper.csv", "hump.csv", "my car.toml", "push.csv", "run 1.csv"]
+    assert names(tmp_path) == ["a home"]
+    with refused("law = '~/law.py:step'", "next to the vehicle file"):
+        parse_vehicle(read_vehicle("quarter_car").text + '[controllers.mine]\nmeasured = []\nlaw = "~/law.py:step"\n')
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(("line", "instead"), [("[controllers.my law]", "my_law"), ("sprung mass = 500", "sprung_mass")])
+def test_names_with_spaces_get_a_line_that_helps(line, instead):
+    """TOML refuses a bare name with a space; the message shows the name to write."""
+    with refused("not valid TOML", f"{instead} for"):
+        parse_vehicle(f'type = "quarter_car"\n{line}\n')

@@ -1,4 +1,4 @@
-"""The MJCF is the vehicle of the equations, at rest, in motion and off the road."""
+"""The MJCF is the vehicle of the equations, at rest, in motion and off the ground."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.

@@ -8,13 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from models.common.errors import InputError
 from models.kinds.user_kind import check_equations, check_parts
+from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import kinds, read_vehicle
 from sim.bump import main
-from tests.support.commands import environment
+from sim.drive import main as drive
+from sim.studies.ride.weighting import wk
+from synth.__main__ import main as synth
+from tests.support.commands import environment, prose
 from tests.support.pages import hopper
 
 BUILD = "def linear_model(p):"
@@ -130,6 +135,11 @@ def test_equations_that_do_not_work(folder, old, new, said):
             r"behind of .* fails \(Key",
         ),
         ("combined", "{'x': {'tyre_deflection': 1.0}}", "combined is 'x', which is unknown; give one of control_force, "),
+        (
+            "people",
+            "('tyre_deflection',)",
+            "a point in people is 'tyre_deflection', which is unknown; give one of sprung_acceleration",
+        ),
         ("suspended", "(Suspension('x', 'tyre'),)", "a suspension's deflection is 'x'"),
         ("suspended", "(Suspension('tyre_deflection', 'tyre', 'x'),)", "no input 'x', which is the force of a suspension"),
         ("suspended", "(Suspension('tyre_deflection', 'tyre', damping='x'),)", "damping is 'x', .* give one of mass, stiffness"),
@@ -226,3 +236,74 @@ def test_built_in_kinds_are_sound(name):
     vehicle = read_vehicle(name)
     check_parts(vehicle.kind)
     check_equations(vehicle.kind, vehicle.parameters)
+
+
+SEATED = """
+import numpy as np
+from models import GRAVITY, LinearModel, Parameter, VehicleKind, Wheel, signals
+from models.kinds.signals import Signal
+
+OWN = [Signal("seat_travel", "z_p - z", "m", "seat"), Signal("seat_velocity", "z_p'", "m/s", "person")]
+OWN.append(Signal("seat_acceleration", "z_p''", "m/s2", "person"))
+STATES = ("seat_travel", "tyre_deflection", "seat_velocity", "sprung_velocity")
+
+def linear_model(p):
+    seat = np.array([p["k_p"], 0, p["c_p"], -p["c_p"]])
+    person, body = -seat / p["m_p"], (seat - [0, p["k"], 0, 0]) / p["m"]
+    A = np.vstack([[0, 0, 1, -1], [0, 0, 0, 1], person, body])
+    B, Bw = np.array([[0, 0, 0, 1 / p["m"]]]).T, np.array([[0, -1.0, 0, 0]]).T
+    C, D = np.vstack([np.eye(4), person, body, np.zeros(4)]), np.array([[0, 0, 0, 0, 0, 1 / p["m"], 1]]).T
+    outputs = (*STATES, "seat_acceleration", "sprung_acceleration", "control_force")
+    none = np.zeros((4, 1)), np.zeros((7, 1))
+    return LinearModel(A, B, Bw, C, D, STATES, ("control_force",), ("road_velocity",), outputs, *none)
+
+def static_tyre_deflection(p):
+    return {"tyre_deflection": (p["m_p"] + p["m"]) * GRAVITY / p["k"]}
+
+def write_mjcf(spec, p):
+    spec.body("sprung").mass, spec.body("person").mass, seat = p["m"], p["m_p"], spec.tendon("seat")
+    spec.tendon("tyre").stiffness[0], seat.stiffness[0], seat.damping[0] = p["k"], p["k_p"], p["c_p"]
+    spec.tendon("tyre").springlength[0] = 0.3 + static_tyre_deflection(p)["tyre_deflection"]
+    seat.springlength = [0.4 + p["m_p"] * GRAVITY / p["k_p"]] * 2
+
+S = signals
+KIND = VehicleKind(
+    "hopper", tuple(Parameter(n, "1", n) for n in ("m_p", "m", "k_p", "c_p", "k")),
+    (S.ROAD_DISPLACEMENT, S.ROAD_VELOCITY, S.TYRE_DEFLECTION, S.SPRUNG_VELOCITY, S.SPRUNG_ACCELERATION, S.CONTROL_FORCE, *OWN),
+    (Wheel("road", "road_displacement", "road_velocity", "tyre_deflection"),), linear_model, static_tyre_deflection, write_mjcf,
+)
+"""
+PERSON = """<body name="person" pos="0 0 .7"><joint name="person" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="8" diaginertia="1 1 1"/><site name="person"/></body></worldbody>"""
+SENSORS = """<tendonpos name="seat_travel" tendon="seat" user="1"/><jointvel name="seat_velocity" joint="person" user="1"/>
+<framelinacc name="seat_acceleration" objtype="site" objname="person" user="0 0 1"/></sensor>"""
+
+
+def test_the_ride_of_a_person_comes_first(folder, capsys):
+    """A mass above the body has the ride of the vehicle, as an integral of its own over the road's spectrum has it.
+
+    A line asks for its name, and a named point is used without that line.
+    """
+    (folder / "hopper.py").write_text(SEATED)
+    seat = '<spatial name="seat" stiffness="1" springlength=".4"><site site="sprung"/><site site="person"/></spatial></tendon>'
+    replace(folder / "hopper.xml", ("</worldbody>", PERSON), ("</tendon>", seat), ("</sensor>", SENSORS))
+    numbers = "m_p = 80.0\nm = 300.0\nk_p = 15000.0\nc_p = 900.0\nk = 20000.0\n[performance]\nseat_acceleration = 1.0\n"
+    (folder / "hopper.toml").write_text(f'type = "hopper"\n[parameters]\n{numbers}control_force = 1e-3\n')
+    vehicle = ["--vehicle", str(folder / "hopper.toml"), "--controller", "passive"]
+    assert synth([*vehicle, "--json"]) == 0
+    printed = capsys.readouterr()
+    found, road = json.loads(printed.out)["expected_ride"], Iso8608("C", speed=20.0).spectrum
+    f = np.linspace(*(np.array(road.band) / (2 * np.pi)), 400_001)
+    s = 2j * np.pi * f
+    (m_p, m, k_p, c_p, k) = (80.0, 300.0, 15000.0, 900.0, 20000.0)
+    seat = k_p + c_p * s
+    over_road = k * seat / ((m_p * s**2 + seat) * (m * s**2 + seat + k) - seat**2)  # z_p / z_r
+    weighted = np.abs(wk(2 * np.pi * f) * s * over_road) ** 2  # of the road's velocity, whose spectrum is flat
+    assert found["passive"] == pytest.approx(np.sqrt(road.density * np.trapezoid(weighted, f)), rel=1e-6)
+    assert list(found["points"]) == ["seat_acceleration", "sprung_acceleration"]
+    assert "seat_acceleration is the acceleration of a mass above the body" in printed.err
+    replace(folder / "hopper.py", ("write_mjcf,\n)", 'write_mjcf, people=("seat_acceleration",),\n)'))
+    assert drive([*vehicle, "--class", "C", "--duration", "2", "--no-logs"]) == 0
+    printed = capsys.readouterr()
+    assert not printed.err
+    assert re.search(r"ride, seat.+ride, sprung", prose(printed.out))

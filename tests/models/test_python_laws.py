@@ -202,40 +202,30 @@ def test_a_law_that_is_not_repeatable_is_no_disagreement(tmp_path):
         assert not run.agreement.commands.repeatable
 
 
-def filtered():
-    """A closure with a variable of its own, and with another closure."""
-    force, inner = 0.0, kept_in([0.0])
-
-    def law(t, y):
-        nonlocal force
-        force += 0.05 * (-3000.0 * y[1] - force)
-        return force + inner(y)
-
-    return law
-
-
-def kept_in(total: list[float]):
-    def summed(y):
-        total[0] += y[1]
-        return -total[0]
-
-    return summed
-
-
 class Kept:
-    """An object without `reset`."""
+    """An object without `reset`, whose sum is in a closure in a closure."""
 
     def __init__(self):
-        self.inner = filtered()
+        total = 0.0
+
+        def summed(y):
+            nonlocal total
+            total += y[1]
+            return total
+
+        self.inner = lambda y: -summed(y)
 
     def __call__(self, t, y):
-        return self.inner(t, y)
+        return self.inner(y)
 
     def method(self, t, y):
-        return self.inner(t, y)
+        return self.inner(y)
+
+    def inner_law(self):
+        return lambda t, y: self.inner(y)
 
 
-@pytest.mark.parametrize("law", [filtered(), Kept(), Kept().method, partial(Kept().method)])
+@pytest.mark.parametrize("law", [Kept(), Kept().method, partial(Kept().method), Kept().inner_law()])
 def test_a_law_starts_anew_in_every_run(law):
     """What a closure or an object keeps belongs to one run: the second run of the same one is the same, to the last bit."""
     vehicle, road = read_vehicle("quarter_car"), Bump(height=0.05)

@@ -467,7 +467,7 @@ def test_a_path_that_is_not_sure(tmp_path):
         ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1, such as x [m], y [m], height [m]"),
         ("x,y,z\n", (x + noise[0], y + noise[1], z), "positions are noisy or not in driving order"),
         ("x,y,z\n", (s, 1.5 * (np.arange(len(s)) % 2), z), "positions are noisy or not in driving order"),
-        ("lat,lon,z\n", (1e7 * x, y, z), "degrees are allowed; give decimal degrees"),
+        ("lat,lon,z\n", (1e7 * x, y, z), "; give decimal degrees, up to 360 and 90"),
         ("station,x,y,z\n", (np.arange(len(s)), x, y, z), "480 m long, but the path through columns 2 ('x') and 3 ('y') is 120"),
         ("x,z\n", (s[::-1], z), "and at all other points; reverse the order of the points"),
         ("x,z\n", (np.sin(s), z), "if this column is a map coordinate, give the other coordinate, too"),

@@ -317,3 +317,18 @@ def test_nothing_is_expected_of_a_damper_that_is_asked():
     assert expect(vehicle, design(vehicle, "passive"), spectrum, 1e-3, 10.0) is not None
     assert expect(vehicle, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is None
     assert expect(vehicle.with_ideal_actuators, design(vehicle, "sky"), spectrum, 1e-3, 10.0) is not None
+
+
+def test_a_delay_acts_on_the_coefficient():
+    """Two samples late, the damper has the coefficient of the velocities of then, and its force is that of the velocity now."""
+    late = "[implementation]\nsample_period = 4e-3\ndelay = 2\n"
+    vehicle = parse_vehicle(f'{QUARTER}{DAMPER}{late}[controllers.law]\nsemi_active = "skyhook_linear"\n')
+    (run,) = run_controllers(vehicle, [vehicle.controllers["law"].driver()], BUMP, sample_times(vehicle, 0.5, 1e-3))
+    (damper,), nominal = vehicle.dampers.values(), vehicle.parameters["suspension_damping"]
+    body, wheel, c = (run.physics[name] for name in ("sprung_velocity", "unsprung_velocity", "damping"))
+    for k in range(8, 500, 4):  # c acts from sample k on, and was computed two samples before
+        v = body[k - 8] - wheel[k - 8]
+        asked = damper.c_max * body[k - 8] / v if body[k - 8] * v > 0 else damper.c_min
+        assert c[k] == pytest.approx(np.clip(asked, damper.c_min, damper.c_max), rel=1e-9)
+    assert run.physics["control_force"] == pytest.approx(-(c - nominal) * (body - wheel), abs=1e-6)
+    assert "delay acts on the damping coefficient, not on the force" in " ".join(one.text for one in reasons(run))

@@ -311,16 +311,6 @@ def test_a_map_asks_about_units_too(tmp_path, capsys):
     assert "suspension_stroke is 80 m; check that its value is in m" in capsys.readouterr().err
 
 
-REALITY = """[limits]
-suspension_stroke = { bump = 0.07, rebound = 0.09 }
-stop_stiffness = 1e5
-actuator_force = 2000.0
-actuator_bandwidth = 60.0
-[implementation]
-sample_period = 0.005
-delay = 1
-noise = { suspension_deflection = 0.001, sprung_acceleration = 0.05 }
-"""
 CORNER = ["sprung_mass", "unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping"]
 RIGHT = {  # corners in SI, each with its largest force and its sample period
     "car": ((380, 42, 22e3, 1500, 2e5, 50, 0.9), 2000, 0.005),
@@ -344,8 +334,9 @@ MISTAKES = {  # of the car: keys and values, and what the remark or the refusal 
     "suspension_stroke = { bump = 70, rebound = 0.09 }": "bump is 70 m", "stop_stiffness = 100": "in N/m",
     "suspension_stroke = { bump = 0.09, rebound = 0.7 }": "bump and rebound are not swapped",
     "actuator_force = 2": "actuator_force .* is small .* in N", "actuator_force = 2e6": "is large .* in N",
-    "actuator_bandwidth = 10": "1.59155 Hz.* rad/s", "sample_period = 5": "sample_period", "sample_period = 0.1|delay = 0": "in s",
-    "delay = 5": "delay times sample_period .0.025 s", "noise = { suspension_deflection = 1 }": "noise of .* in m",
+    "actuator_bandwidth = 10": "1.59155 Hz.* rad/s", "sample_period = 5": "sample_period",
+    "sample_period = 0.1|delay = 0": "in s", "delay = 5": "delay times sample_period .0.025 s",
+    "noise = { suspension_deflection = 1 }": "noise of .* in m",
     "quantisation = { sprung_acceleration = 50 }": "in m/s2",
 }  # fmt: skip
 
@@ -354,8 +345,10 @@ def corner(name: str) -> str:
     """The file of a corner, with limits and an implementation."""
     values, force, period = RIGHT[name]
     given = "".join(f"{key} = {value}\n" for key, value in zip([*CORNER, "motion_ratio"], values, strict=True))
-    real = REALITY.replace("= 2000.0", f"= {force}").replace("= 0.005", f"= {period}")
-    return f'type = "quarter_car"\n[parameters]\n{given}[performance]\nsprung_acceleration = 1.0\n{real}'
+    return f"""type = "quarter_car"\n[parameters]\n{given}[performance]\nsprung_acceleration = 1.0
+[limits]\nsuspension_stroke = {{ bump = 0.07, rebound = 0.09 }}\nstop_stiffness = 1e5\nactuator_force = {force}
+actuator_bandwidth = 60.0\n[implementation]\nsample_period = {period}\ndelay = 1
+noise = {{ suspension_deflection = 0.001, sprung_acceleration = 0.05 }}\n"""
 
 
 def put(text: str, entry: str) -> str:
@@ -395,20 +388,8 @@ def test_remarks_are_in_json_and_python_warns(tmp_path, capsys):
     """Each remark on vehicle and road is printed once, before any error, is in `--json`, and is a warning in Python."""
     file = tmp_path / "car.toml"
     file.write_text(put(corner("car"), "actuator_force = 2"))
-    bump = [
-        "--vehicle",
-        str(file),
-        "--controller",
-        "passive",
-        "--height",
-        "0.6",
-        "--speed",
-        "90",
-        "--duration",
-        "0.1",
-        "--no-logs",
-    ]
-    main_of("sim.bump")([*bump, "--json"])
+    bump = ["--vehicle", str(file), "--controller", "passive", "--no-logs", "--duration", "0.1", "--timestep", "0.005"]
+    main_of("sim.bump")([*bump, "--height", "0.6", "--speed", "90", "--json"])
     printed = capsys.readouterr()
     said = [line.removeprefix("roadproof: ") for line in printed.err.splitlines() if line.startswith("roadproof: ")]
     assert json.loads(printed.out)["remarks"] == said
@@ -424,7 +405,7 @@ def test_remarks_are_in_json_and_python_warns(tmp_path, capsys):
         vehicle.with_parameters(unsprung_mass="0.5 t")
     file.write_text(put(corner("car"), "sprung_mass = 0.38"))
     with refused(match=r"timestep = 0.005 s is too large: .*; the body's natural frequency .* sprung_mass is in kg"):
-        main_of("sim.bump")([*bump, "--timestep", "0.005"])
+        main_of("sim.bump")(bump)
 
 
 def test_vehicles_that_ship_raise_no_doubt():

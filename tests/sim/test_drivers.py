@@ -5,6 +5,7 @@ import pytest
 
 from models import Bump, InputError, parse_vehicle, read_vehicle
 from sim import run
+from sim.runs.report import verdict
 
 ROAD = Bump(height=0.05)
 DAMPER = '\n[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0\n'
@@ -71,6 +72,19 @@ def test_what_it_keeps_to_itself_is_said():
     assert one.passed
     assert one.agreement.commands is not None
     assert not one.agreement.commands.repeatable
+    assert "no command is compared, because the control law is not repeatable" in verdict(one).text
+
+
+def test_an_end_at_once_is_said_in_the_short_verdict():
+    """If a force reaches its limit at the first sample, nothing is compared with linear analysis, and this is printed."""
+
+    class Full(Proportional):
+        def step(self, k, y, ahead, state):
+            return np.full_like(y, 5000.0), state
+
+    [one] = run(parse_vehicle(read_vehicle("quarter_car").text + "\n[limits]\nactuator_force = 100.0\n"), Full(), ROAD, 0.2)
+    assert one.agreement.until == 0
+    assert "nothing is compared with linear analysis, which applies until 0 s (" in verdict(one).text
 
 
 def test_requests_of_another_shape_are_refused():

@@ -6,7 +6,7 @@ from typing import Any
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, json_object
 from models.document.text import joined
-from sim.studies.gallery.entries import PAPER, SOURCES, Entry
+from sim.studies.gallery.entries import SOURCES, Entry, names
 from sim.studies.gallery.numbers import DIFFERS, ON_ITS_GRID, REPRODUCED, WRONG, ComparedNumber
 
 Result = tuple[Entry, Sequence[ComparedNumber]]
@@ -48,17 +48,22 @@ def summary(results: Sequence[Result]) -> Document:
     counts = [[int(field.cell(one)) for field in COUNTS[2:]] for one in results]
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*counts, strict=True))
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)
-    text = f"{reproduced} numbers are reproduced to all digits, and {differ} differ for a known reason"
-    text += f"; {wrong} are {WRONG}." * bool(wrong) or "."
+    text = f"{_numbers(reproduced)} reproduced to all digits"
+    text += f", and {differ} differ{'s' * (differ == 1)} for a known reason" * bool(differ)
+    text += f"; {_numbers(wrong)} {WRONG}." if wrong else "."
     more = [f"Not expressible in a vehicle file: {missing}."] if missing else []
-    more += [f"{derived} numbers follow from data or a formula of the source; the others are published."] if derived else []
+    more += [f"{_numbers(derived)} from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
-    if any(entry.name == PAPER for entry, _ in results):
+    if {entry.name for entry, _ in results} == {*names()}:
         more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
         more.append(f"The entries explain why {joined(without)} have no numbers.")
     table = Table.of("gallery", "The entries, and how many of their numbers are reproduced.", COUNTS, results, 2, detail="brief")
     state = "fails" if wrong else "holds"
     return Document("", (table, Statement(text, state, "brief"), *notes(*more, detail="brief")), "brief")
+
+
+def _numbers(count: int) -> str:
+    return f"{count} number is" if count == 1 else f"{count} numbers are"
 
 
 def sources(entries: Sequence[Entry]) -> tuple[list[str], list[str]]:

@@ -16,10 +16,9 @@ from scipy.interpolate import barycentric_interpolate
 
 from models.common.arrays import Array
 from models.laws.python_law import Programmed
-from models.roads.road import RoadInput, delays
+from models.roads.road import RoadInput, delays, jumps_under_wheels
 from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
-from sim.response.jumps import jumps_under_wheels, vertical_edges
 from sim.response.response import Response
 from sim.runs.run import Run
 
@@ -229,7 +228,7 @@ def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str,
     """Returns signals of a response that is known at its samples: cubics between vertical edges, and forces as they are held."""
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
-    edges, pieces = vertical_edges(road), dict[str, Pieces]()
+    edges, pieces = road.vertical_edges(), dict[str, Pieces]()
     for name in signals:
         values, other, parts = response[name], response.before.get(name, response[name]), list[Array]()
         for a, b in itertools.pairwise(sorted({0, *edges, len(time) - 1})):

@@ -20,7 +20,8 @@ s changes. For a lagging force, which changes too, the mean of u[k] and u[k+1] c
 
 Angles, for a body under loads: dive, squat and roll.
 
-The window of all metrics leaves out the transient at the start of a run from rest.
+The window of all metrics leaves out the transient at the start of a run from rest. The filter of W_k is three samples late, and
+its outputs of the window's last samples follow from a straight line through the last two.
 
 The rms of an acceleration, and rms and peak of a damper's force, use the values on both sides of a jump if the vehicle has
 adjustable dampers.
@@ -36,13 +37,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, UNSPRUNG_ACCELERATION, Signal
+from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
 from sim.response.jumps import Jumps
 from sim.response.response import Response
-from sim.studies.ride.weighting import filtered, sampled_wk
+from sim.studies.ride.weighting import LATE, filtered, sampled_wk
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
 
@@ -84,7 +85,7 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
 
 
 RUNNING = 1.0  # time constant of the running rms [s]
-DEFINITIONS = 6  # version of the metrics and their expectations; one more whenever a number changes
+DEFINITIONS = 7  # version of the metrics and their expectations; one more whenever a number changes
 ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had one value at a jump; else the same numbers
 
 
@@ -115,7 +116,7 @@ class Points:
     """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: accelerations of the body.
+        accelerations: accelerations of the body, those of points with a person first.
         suspensions: deflections of the suspensions.
         tyres: deflections of the tyres.
         actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
@@ -131,9 +132,7 @@ def points(vehicle: Vehicle) -> Points:
     """Returns the points of a vehicle."""
     model, kind = vehicle.linear_model, vehicle.kind
     return Points(
-        accelerations=tuple(
-            name for name in model.outputs if kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
-        ),
+        accelerations=vehicle.ride_points.all,
         suspensions=tuple(one.deflection for one in kind.suspensions),
         tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
         actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
@@ -237,6 +236,7 @@ class Meter:
             for name in self.where.accelerations
         }
         self.running = {name: np.zeros((1, count, 1)) for name in self.where.accelerations}
+        self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
         self.both_sides = bool(self.vehicle.dampers)
         self.jumps = Jumps(vehicles, (*self.where.accelerations, *(self.vehicle.linear_model.inputs if self.both_sides else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
@@ -253,7 +253,11 @@ class Meter:
         jumps = self.jumps(values)
         for name in self.where.accelerations:
             acceleration = self._signal(values, name)
-            self._ride(name, acceleration - jumps[name] / 2 if name in jumps else acceleration, skip)
+            acceleration = acceleration - jumps[name] / 2 if name in jumps else acceleration
+            if skip < len(values):
+                self._add(f"{name}_rms", _squares(acceleration[:, skip:]))
+            self._ride(name, acceleration, self.seen - len(values))
+            self.last[name] = np.concatenate([self.last.get(name, acceleration[:, :1]), acceleration], axis=1)[:, -2:]
             if self.both_sides and name in jumps:  # of both sides: of their mean, and of half their difference
                 self._add(f"{name}_rms", _squares(jumps[name][:, skip:] / 2))
         if skip == len(values):
@@ -304,7 +308,10 @@ class Meter:
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 
     def result(self) -> dict[str, Array]:
-        """Returns every metric, shape (N,)."""
+        """Returns every metric, shape (N,), after the last block."""
+        for name, last in self.last.items():  # the filter is late: straight lines go on behind the last samples
+            self._ride(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, LATE + 1), self.seen)
+        self.last = {}
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
         values = self.ends | {name: largest for name, largest in self.largest.items() if name.endswith("_peak")}
         values |= {name: np.sqrt(square) for name, square in mean.items() if name.endswith(("_rms", "_weighted"))}
@@ -326,7 +333,9 @@ class Meter:
                 values |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
         return values
 
-    def _ride(self, name: str, acceleration: Array, skip: int) -> None:
+    def _ride(self, name: str, acceleration: Array, seen: int) -> None:
+        """Adds the next samples of an acceleration, shape (N, B), after so many."""
+        skip = max(self.first + LATE - seen, 0)
         weighted, wk = np.zeros_like(acceleration), self.filter
         parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
         for part in parts:
@@ -336,8 +345,7 @@ class Meter:
         mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
         (running,), self.running[name] = filtered(*mean, square, self.running[name])
         if skip < acceleration.shape[1]:
-            acceleration, square = acceleration[:, skip:], square[:, skip:]
-            self._add(f"{name}_rms", _squares(acceleration))
+            square = square[:, skip:]
             self._add(f"{name}_weighted", square.sum(axis=1))
             self._add(f"{name}_vdv", _squares(square))
             self._keep(f"{name}_crest", weighted[:, skip:])

@@ -31,7 +31,7 @@ from sim.studies.ride.expected import (
     settled,
     settling_time,
 )
-from sim.studies.ride.metrics import measure, metrics_of, points, static_angles
+from sim.studies.ride.metrics import measure, metrics_of, static_angles
 from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
 from synth.controller.controller import AnyController, Controller
@@ -335,7 +335,7 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         )
         tables = [Table.of("angles", "Largest angles of the body.", columns, zip(runs, angles, strict=False))]
     rides = [
-        [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
+        [of_run.metrics[f"{name}_weighted"] for name in run.vehicle.ride_points.worst_of]
         for run, of_run in zip(runs, measured, strict=True)
     ]
     known = [max((one for one in some if one.expected is not None), key=EXPECTED.value, default=None) for some in rides]

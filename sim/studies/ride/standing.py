@@ -60,7 +60,7 @@ def digits(value: float) -> str:
 
 
 def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Standing]:
-    return Field(label, lambda one: one.values[key], digits, scale, key, unit)
+    return Field(label, lambda one: one.values.get(key), digits, scale, key, unit)
 
 
 RIDE, TRAVEL = _of("ride", "ride", "m/s²"), _of("peak_travel", "peak travel", "mm", 1e3)
@@ -73,6 +73,7 @@ USED = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
 CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
+AT_POINT = "ride_"  # beginning of the keys of the ride at the points of a vehicle with a person
 KEYS = tuple(one.key for one in FIELDS)
 
 
@@ -92,11 +93,15 @@ def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> 
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
-    """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics."""
-    where, stops = points(vehicle), vehicle.stops
+    """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics.
+
+    A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
+    """
+    where, stops, felt = points(vehicle), vehicle.stops, vehicle.ride_points
     forces = [name for name, *_ in where.actuators]
     return {
-        RIDE.key: tuple(f"{name}_weighted" for name in where.accelerations),
+        RIDE.key: tuple(f"{name}_weighted" for name in felt.worst_of),
+        **{f"{AT_POINT}{name}": (f"{name}_weighted",) for name in felt.all if felt.people},
         TRAVEL.key: tuple(f"{name}_peak" for name in where.suspensions),
         LOAD.key: tuple(dynamic_load(name) for name in where.tyres),
         "off_ground": tuple(off_ground(name) for name in where.tyres),
@@ -172,6 +177,7 @@ def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
         {"controller": one.controller}
         | {key: text for key, text in (("vehicle", one.vehicle), ("without", one.without)) if text}
         | json_object(FIELDS, one)
+        | {key: value for key, value in one.values.items() if key.startswith(AT_POINT)}
         | ({"strokes": {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}} if one.strokes else {})
         for one in standings
     ]
@@ -191,11 +197,13 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     columns.append(Field("controller", lambda one: one.name))
     there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
     travel, strokes = _travel(standings)
+    rides = _rides(standings)
     for quantity in there:
-        shown = travel if quantity is TRAVEL else [quantity]
+        shown = travel if quantity is TRAVEL else rides[:1] if quantity is RIDE else [quantity]
         columns += [_marked(one, marked[quantity.key]) for one in shown]
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
+        columns += rides[1:] if quantity is RIDE else []
     unsound = ", ".join(one.label for one in standings if not one.sound)
     star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
@@ -229,6 +237,15 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
     return Field(f"{CHANGES[quantity]}{CHANGE}", change)
 
 
+def _rides(standings: Sequence[Standing]) -> list[Field[Standing]]:
+    """Returns the columns of ride: that of the vehicle, then of other points of vehicles with a person."""
+    points = dict.fromkeys(key for one in standings for key in one.values if key.startswith(AT_POINT))
+    same = [key for key in points if all(one.values.get(key) == RIDE.value(one) for one in standings)]
+    labels = {key: f"ride, {key.removeprefix(AT_POINT).removesuffix('_acceleration').replace('_', ' ')}" for key in points}
+    first = replace(RIDE, label=labels[same[0]] if same else RIDE.label)
+    return [first, *(_of(key, labels[key], RIDE.unit) for key in points if key not in same)]
+
+
 def _travel(standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
     """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
 
@@ -242,5 +259,8 @@ def _travel(standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
     alike = all(len(some) == 1 for some in strokes.values())
     of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())
     used, label = (USED, "{} travel") if alike else (SHARE_USED, "{} used")
-    columns = [used.of(lambda one, side=side: one.strokes.get(side), label.format(side)) for side in sides]
-    return columns, f"; stroke {of}" if alike else "; used: of the stroke"
+
+    def of_side(side: str) -> Field[Standing]:
+        return used.of(lambda one: one.strokes.get(side), label.format(side))
+
+    return [of_side(side) for side in sides], f"; stroke {of}" if alike else "; used: of the stroke"

@@ -305,7 +305,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
         f"Slopes of the straight lines that replace curves on this road: {'; '.join(slopes)}.{note}",
-        f"{accuracy}{friction}; vdv is up to 10 % too high, crest 35 %. If wheels leave the road, vdv is up to 8 % too high; "
+        f"{accuracy}{friction}; vdv is up to 10 % too high, crest 35 %. If wheels leave the ground, vdv is up to 8 % too high; "
         "crest, travel and forces up to 15 %, or 20 % if wheels are in the air for a fifth of the time.",
     ]
 

@@ -19,7 +19,6 @@ from models.document.document import Block, Document, Table, notes
 from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
-from sim.response.jumps import vertical_edges
 from sim.runs.run import Run
 
 if TYPE_CHECKING:
@@ -156,7 +155,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}
     if run.broke_off is None:
         routes["mujoco"] = sampled(run, run.physics, names)
-    edges = vertical_edges(run.prediction.input)
+    edges = run.prediction.input.vertical_edges()
     metrics, start = {}, float(run.prediction.time[min(edges)]) if edges else step.start  # MuJoCo's road jumps at a sample
     for name in names:
         known = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
@@ -209,8 +208,10 @@ def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
     """Returns the step metrics of runs: MuJoCo's of the first height, or of travel without one, and in full of all signals."""
     heights = runs[0].vehicle.linear_model.heights
-    one = next((name for name, each in measured[0].items() if each.final and name in heights), next(iter(measured[0])))
-    pairs = [(run.controller.name, metrics[one].mujoco) for run, metrics in zip(runs, measured, strict=True)]
+    common = [name for name in measured[0] if all(name in each for each in measured)] or [*measured[0]]
+    one = next((name for name in common if measured[0][name].final and name in heights), common[0])
+    known = [metrics.get(one) for metrics in measured]
+    pairs = [(run.controller.name, each and each.mujoco) for run, each in zip(runs, known, strict=True)]
     title = f"Response to the step: {one} [{measured[0][one].unit}]"
     blocks: list[Block] = [Table.of("step", title, _columns("controller"), pairs)]
     for run, metrics in zip(runs, measured, strict=True):

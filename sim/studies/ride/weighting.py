@@ -84,12 +84,13 @@ def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequenc
 
 
 DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # 2 - 2 cos(omega h), one sample late
-RESTORE = np.zeros(7)  # three samples late
+LATE = 3  # samples by which the sampled filter is late
+RESTORE = np.zeros(2 * LATE + 1)
 for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
     taps = np.array([1.0])
     for _ in range(power):
         taps = np.convolve(taps, DIFFERENCE)
-    RESTORE[3 - power : 4 + power] += share * taps
+    RESTORE[LATE - power : LATE + 1 + power] += share * taps
 POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality of each pair
 
 

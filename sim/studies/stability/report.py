@@ -19,7 +19,7 @@ from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
 from synth.analysis.specification import FREQUENCY
-from synth.controller.law_margins import gain_in_db
+from synth.controller.law_margins import TURN, decibels
 from synth.controller.report import NORM
 from synth.controller.stability_margins import LARGEST_FACTOR
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
@@ -50,11 +50,11 @@ class Row(NamedTuple):
 
 
 def _decibels(factor: float) -> str | None:
-    return f"{gain_in_db(factor):.3g} dB" if 0 < factor < math.inf else None
+    return decibels(factor) if 0 < factor < math.inf else None
 
 
 def _degrees(angle: float) -> str | None:
-    return f"{math.degrees(angle):.3g}°" if math.isfinite(angle) else None
+    return TURN.digits(angle) if math.isfinite(angle) else None
 
 
 MARGIN = Field[Row]("margin", lambda row: row.margin)
@@ -189,7 +189,8 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
         "Phase and delay have no limit if no eigenvalue of the loop transfer function L has magnitude 1 at any frequency. "
         f"A gain has no limit if the loop is stable up to factor {LARGEST_FACTOR:g}.",
-        f"Other vehicles: {varied_text(vehicle.kind)}. Nothing is proved between the vehicles that were computed.",
+        f"Other vehicles: {found[0].box.text if found[0].box else varied_text(vehicle.kind)}. "
+        "Nothing is proved between the vehicles that were computed.",
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]

@@ -7,6 +7,7 @@ of the box, and nothing is proved of those between.
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -19,6 +20,8 @@ from models.common.errors import InputError, error_in, listing, quoted
 from models.kinds.kind import Variation, VehicleKind
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
+from sim.linear.nonlinear_elements import at_rest
+from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate
 from sim.physics.step_derivative import step_derivative
 from sim.runs.prediction import predict
@@ -31,6 +34,7 @@ from synth.controller.open_loop import LoopModel
 
 GRID = 49  # norms that are taken first, whatever the box's dimension
 MOST = 4  # quantities that vary: physics runs two to that power
+HALVINGS = 6  # of the ranges of a vehicle type
 EXAMPLE = "as in --vary sprung_mass:0.8:1.2"
 DURATION = 0.3  # s, of a run over a bump
 BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
@@ -94,15 +98,16 @@ def varied_text(kind: VehicleKind) -> str:
 
 
 def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, tuple[str, ...]]:
-    """Returns variations from `name:low:high` each, with the parameters that each scales; without any the kind's own.
+    """Returns variations from `name:low:high` each, with the parameters that each scales.
 
-    A name is a parameter's, or that of several which differ by their ending, as `tyre_stiffness` of front and rear axle.
+    Without any texts these are the variations of the vehicle type, with ranges halved until all corners are vehicles. A name is a
+    parameter's, or that of several which differ by their ending, as `tyre_stiffness` of front and rear axle.
 
     Raises:
         InputError: an unknown name or no range of factors, a parameter that is zero or named twice, or no vehicle at a corner.
     """
     if not texts:
-        return vehicle.kind.variations
+        return _usual(vehicle)
     variations: dict[Variation, tuple[str, ...]] = {}
     for text in texts:
         name, *numbers = text.split(":")
@@ -123,10 +128,30 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
         variations[Variation(name.replace("_", " "), low, high)] = names
     if len(variations) > MOST:
         raise InputError(f"--vary names {len(variations)} quantities; vary at most {MOST}")
-    for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
-        with error_in("--vary reaches an invalid vehicle:"):
-            vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)
+    with error_in("--vary reaches an invalid vehicle:"):
+        _check_corners(vehicle, variations)
     return variations
+
+
+def _usual(vehicle: Vehicle) -> dict[Variation, tuple[str, ...]]:
+    """Returns the variations of the vehicle type, as far as all corners are vehicles."""
+    for share in (0.5**i for i in range(HALVINGS)):
+        usual = {
+            replace(one, **{end: share * getattr(one, end) + (1 - share) for end in ("smallest", "largest")}): names
+            for one, names in vehicle.kind.variations.items()
+        }
+        with suppress(InputError):
+            _check_corners(vehicle, usual)
+            return usual
+    return {}
+
+
+def _check_corners(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]]) -> None:
+    """Refuses variations with an invalid vehicle at a corner: an invalid parameter, or a load that a spring's table lacks."""
+    for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
+        other = _with_factors(vehicle, variations, corner)
+        vehicle.kind.check(other.parameters)
+        _ = other.fitted
 
 
 def robustness(
@@ -141,16 +166,17 @@ def robustness(
     Returns None for each controller if nothing varies, and for one whose stable loop has no finite norm.
 
     Args:
+        vehicle: vehicle without adjustable dampers. Its curves follow the parameters; then those that bend at rest are lines.
         timestep: MuJoCo's timestep [s].
         progress: callback that receives a line on the progress.
         variations: result of `read_variations`; None for the variations of the vehicle type.
     """
-    variations = vehicle.kind.variations if variations is None else variations
+    variations = read_variations(vehicle, ()) if variations is None else variations
     varied = tuple(variations)
     if not varied:
         return [None] * len(controllers)
     corners = list(itertools.product(*((each.smallest, each.largest) for each in varied)))
-    others = [_with_factors(vehicle, variations, corner) for corner in corners]
+    others = [at_rest(_with_factors(vehicle, variations, corner)) for corner in corners]
     trials = [Trial(other, controller) for controller in controllers for other in others]
     progress(f"{len(trials)} runs")
     grows = [simulated_loop(step_derivative(trial.vehicle, timestep), trial).grows for trial in trials]
@@ -203,10 +229,18 @@ def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tup
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
-    """Returns True for each trial whose linear response over the bump MuJoCo confirms; all run in one batch."""
+    """Returns True for each trial whose linear response over the bump MuJoCo confirms; similar vehicles share a batch."""
     controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
     predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, inputs, strict=True)]
-    return [run.agreement.agrees for run in compare_runs(predictions, simulate(controllers, inputs, threads=0))]
+    alike: dict[bytes, list[int]] = {}  # curves have other numbers of straight lines on other vehicles
+    for i, on in enumerate(inputs):
+        alike.setdefault(reads_out(on.vehicle, on.timestep), []).append(i)
+    agree = dict[int, bool]()
+    for some in alike.values():
+        physics = simulate([controllers[i] for i in some], [inputs[i] for i in some], threads=0)
+        runs = compare_runs([predictions[i] for i in some], physics)
+        agree |= {i: run.agreement.agrees for i, run in zip(some, runs, strict=True)}
+    return [agree[i] for i in range(len(trials))]
 
 
 def _changed(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> dict[str, float]:
@@ -217,4 +251,4 @@ def _changed(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], 
 
 
 def _with_factors(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> Vehicle:
-    return replace(vehicle, parameters={**vehicle.parameters, **_changed(vehicle, variations, factors)})
+    return vehicle.altered(_changed(vehicle, variations, factors))

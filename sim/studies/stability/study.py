@@ -74,5 +74,6 @@ def stability_margins(
     progress("fragility")
     fragile = [find_fragility(ideal, one, timestep, progress) for one in controllers]
     progress("other vehicles")
-    boxes = robustness(ideal, controllers, timestep, progress, variations)
+    whole = replace(vehicle.with_ideal_actuators, implementation=Implementation())
+    boxes = robustness(whole, controllers, timestep, progress, variations)
     return [StabilityMargins(vehicle, *of) for of in zip(controllers, loops, implemented, fragile, boxes, strict=True)]

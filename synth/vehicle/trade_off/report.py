@@ -14,7 +14,7 @@ from models.document.field import Field, json_object
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.document.reading import write_rows
 from models.vehicle.names import without_copies
-from synth.controller.report import BOUND, NORM, judged_lines
+from synth.controller.report import BOUND, NORM, judged_lines, line_notes
 from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
@@ -60,7 +60,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED) ->
     return Document(
         "Trade-off between objectives",
         (
-            *notes(spans, detail="brief"),
+            *notes(spans, *line_notes(front.vehicle), detail="brief"),
             *notes(*beaten, gains, *judged_lines(controller)),
             Table.of("front", caption, fields, rows, detail="brief"),
             front_figure(front, measured),
