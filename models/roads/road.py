@@ -492,7 +492,8 @@ class RoadInput:
         vehicle: r wheels, and a body that l loads push.
         road: the road.
         time: equidistant sample times [s], shape (T,).
-        earlier: True to repeat a run of an earlier version, whose signals at a sample were under the load of the step from there.
+        earlier: True to repeat a run of an earlier version, whose signals at a sample were under the load of the step from there,
+            and lacked the other side of vertical edges.
     """
 
     vehicle: Vehicle
@@ -591,12 +592,12 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """What acts in the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
+        """Inputs of the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
         return self.held if self.earlier else np.hstack([self.loads, self.held[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """What acts in the measurements, before new forces: the loads at the samples, and velocities held until then."""
+        """Inputs of the measurements, before new forces: the loads at the samples, and velocities held until then."""
         before = np.concatenate([np.zeros_like(self.held[:1]), self.held[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
@@ -608,7 +609,7 @@ class RoadInput:
                 the edge, else at the last one, which already has the height behind. False for the last samples before edges.
         """
         edges: dict[int, Edge] = {}
-        for at, wheel, height in jumps_under_wheels(self.road, self.vehicle):
+        for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
             k = math.floor((at - self.time[0]) / self.timestep * (1 + SAME_TIME))
             if 0 <= k < len(self.time) - 1:
                 later = bool(held and abs(self.midway[k, wheel] - self.heights[k, wheel]) < abs(height) / 2)

@@ -359,6 +359,8 @@ def settled(
 
 def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
     """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    if not curves:
+        return []
     from models.suspension.measured_loop import slope_words
 
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}

@@ -66,7 +66,7 @@ class ReferenceResponse:
         self.off, self.peak = np.zeros((len(self.outputs), len(runs))), np.zeros((len(self.outputs), len(runs)))
         self.states = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
         pushed = [run.road.loaded for run in runs]
-        self.meter = None if first is None else Meter(vehicles, timestep, first, loaded, pushed)
+        self.meter = None if first is None else Meter(vehicles, timestep, first, loaded, pushed, watched.inputs[0].earlier)
 
     def update(self, start: int, values: Array, until: Array, times: Array) -> None:
         """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""
@@ -180,11 +180,11 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> tuple[Rows, list[int]] | None:
     """Returns the rows of runs of one controller, and the indices of those that may have failed because of another run."""
     campaign, vehicles, time = plan.campaign, [run.vehicle for run in runs], plan.campaign.time
-    on = [RoadInput(run.vehicle, run.road, time) for run in runs]
+    on = [RoadInput(run.vehicle, run.road, time, campaign.earlier) for run in runs]
     watched = MonitoredBatch([run.controller for run in runs], on)
     random = runs[0].choice.stationary
     first = campaign.first if random else 0
-    meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs])
+    meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs], campaign.earlier)
     twin = ReferenceResponse(runs, watched, None if random else first, campaign.loaded) if _is_exact(runs) else None
     for block in watched.blocks():
         if stopped():

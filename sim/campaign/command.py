@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -191,7 +192,8 @@ def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None) 
 def _plan(campaign: Campaign, manifest: Manifest, folder: Path) -> tuple[Plan, Store]:
     """Returns the runs with the gains that the campaign began with, and their results."""
     about = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
-    return planned(campaign, manifest.controllers), Store(folder, columns(campaign, about), manifest.runs)
+    plan = planned(replace(campaign, earlier=manifest.earlier), manifest.controllers)
+    return plan, Store(folder, columns(campaign, about), manifest.runs)
 
 
 def _versions() -> dict[str, str]:

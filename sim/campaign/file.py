@@ -71,6 +71,7 @@ class Campaign:
         variants: values by key for each variant, of every vehicle and controller whose law is drawn.
         sample_seed: seed of samples and variants.
         text: the file.
+        earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
     """
 
     vehicles: Mapping[str, Vehicle]
@@ -85,6 +86,7 @@ class Campaign:
     variants: Mapping[str, Mapping[str, tuple[Values, ...]]]
     sample_seed: int
     text: str
+    earlier: bool = False
 
     @property
     def time(self) -> Array:

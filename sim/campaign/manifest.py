@@ -34,6 +34,7 @@ class Manifest:
         campaign: text of the campaign file.
         controllers: the gains.
         runs: number of runs.
+        earlier: True for a campaign of an earlier version, see `RoadInput.earlier`.
     """
 
     file: str
@@ -42,6 +43,7 @@ class Manifest:
     campaign: str
     controllers: Gains
     runs: int
+    earlier: bool = False
 
     def write(self, folder: Path) -> None:
         """Writes it into the results folder.
@@ -88,7 +90,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
             raise InputError(f"{folder} contains no campaign, but other files such as {others[0]}; {instead}")
         return None
     with reading(path, "campaign plan", instead):
-        whole = json.loads(path.read_text(encoding="utf-8"))
+        whole = {"earlier": True, **json.loads(path.read_text(encoding="utf-8"))}
         names = [field.name for field in fields(Manifest)]
         if not {*names} <= {*whole}:
             raise InputError(f"the file lacks some of the entries {', '.join(names)}; restore this file, or {instead}")

@@ -23,7 +23,7 @@ from sim.runs.agreement import ROUNDING
 from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run
 from sim.runs.steps import ALLOWED, DIFFERENCE
-from sim.studies.ride.metrics import DEFINITIONS, ONE_SIDED
+from sim.studies.ride.metrics import DEFINITIONS, LATE_WINDOW, ONE_SIDED
 from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
 from synth.controller.report import (
@@ -224,7 +224,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
     if len(mine) != 1:
         yield Finding("result", FAILS, "result.json must contain this run once")
         return
-    known = (DEFINITIONS,) if run.vehicle.dampers else (DEFINITIONS, ONE_SIDED)
+    known = (DEFINITIONS, LATE_WINDOW, *(() if run.vehicle.dampers else (ONE_SIDED,)))
     if command == "drive" and result.get("definitions") not in known:
         yield Finding("result", MISSING, "its metrics have other definitions; use the version of Roadproof that wrote the log")
         return

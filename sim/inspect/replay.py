@@ -124,7 +124,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     if not np.array_equal(np.round(time * 1e9), times):
         raise InputError(f"the logged samples do not begin at 0 s, or are not {timestep:g} s apart")
     points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
-    road = RoadInput(vehicle, described_road(run.claim("road"), points), time)
+    road = RoadInput(vehicle, described_road(run.claim("road"), points), time, "signals" not in log.metadata)
     driver: RunDriver = controller
     if isinstance(controller, Programmed):
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
+SIGNALS = 2  # version of signals at a sample; those of logs without it are as of `RoadInput.earlier`
 NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
 # Responses of a run: topics in an MCAP file, and entities in a Rerun file. In files and in result.json the exact sampled response

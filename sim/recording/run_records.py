@@ -22,7 +22,7 @@ from models.roads.road import Road, RoadInput, delays
 from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
 from sim.physics.run_blocks import DIVERGED
-from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, RunName
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
 from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
@@ -195,6 +195,7 @@ def record_runs(
     timestep, match = float(time[1] - time[0]), re.match(r"python -m sim\.(\w+)( |$)", command_line)
     metadata = {
         "format": str(FORMAT),
+        "signals": str(SIGNALS),
         "command": match[1] if match else "",
         "command_line": command_line,
         "vehicle": vehicle.source,

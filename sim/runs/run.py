@@ -204,7 +204,7 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
             if balance is not None and balance.doubtful:
-                on = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves)
+                on = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves, run.prediction.input.earlier)
                 balance = balance.beside(energy(finer, k, on, until=run.agreement.ended[FLAT.name]))
             half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
@@ -221,7 +221,7 @@ def _simulated(
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
-    inputs = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time) for each in predictions]
+    inputs = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time, each.input.earlier) for each in predictions]
     return simulate([driver_again(each, time, share) for each in predictions], inputs)
 
 

@@ -25,7 +25,6 @@ from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.equivalent_line import equivalent_line
 from synth.controller.open_loop import continuous, readings_of_road
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
@@ -46,6 +45,8 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
     if not felt or not controller.certificate.stable:
         return None
     if vehicle.is_curved:
+        from synth.controller.equivalent_line import equivalent_line
+
         line = equivalent_line(vehicle, controller, lambda car, signals: _deviations(car, controller, signals))
         if line is None:
             return None

@@ -144,7 +144,7 @@ def test_drive(log_of, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b'"definitions": 6', b'"definitions": 1', "its metrics have other definitions; use the version"),
+        (b'"definitions": 7', b'"definitions": 1', "its metrics have other definitions; use the version"),
         (b'"settled": {"share": 0.', b'"settled": {"share": 1.', "result.json differs from the repeated run: settled.share"),
         (b'"expected": 0.', b'"expected": 1.', "result.json differs from the repeated run: metrics."),
     ],

@@ -21,10 +21,10 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2409   1868      0
+what all commands share: files, options, checks, tables of numbers   2670   1913      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5245   1634    250
+vehicle file, types, equations, MJCF                           5366   1774    253
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
@@ -34,17 +34,17 @@ laws and families in files                                      259    349    10
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    204      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  643    694    100
+laws in Python                                                  657    729    103
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            191    329    124
+custom vehicle types                                            193    410    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1290    845    144
+semi-active dampers and laws                                   1292    860    148
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       2754   2285     68
+curves of dampers and springs, statistical linearisation       3039   2453     75
     models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
     sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
@@ -52,12 +52,12 @@ curves of dampers and springs, statistical linearisation       2754   2285     6
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    237      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
-loads, links, tyre damping                                      826   1541     52
+loads, links, tyre damping                                      827   1568     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1193   1034      0
+measured roads, rigs, OpenCRG, IRI                             1312   1034      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1749    829     91
+analytic and random roads                                      1805    901     91
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
 preview, LQR, LQG, H2                                           636    653     51
@@ -68,7 +68,7 @@ anti-windup, integrals, compatible options                      409   1108      
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                           1015    358      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
-goals, families, trade-off front                               4413   1668    124
+goals, families, trade-off front                               4412   1668    124
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
@@ -81,7 +81,7 @@ sampled data: norm, bound, designs, rates                      2311   1297    11
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3235   1424     92
+export: C99, fixed point, FMI, MATLAB                          3244   1440     94
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                          1005    729    114
@@ -94,7 +94,7 @@ two steps, LMI path                                            2686   1002     3
     synth/design/{__init__,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_feedback,sdp,structured_barrier,unobservable}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
-certificates, norms, lower bounds                              3330   2237     68
+certificates, norms, lower bounds                              3335   2259     68
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
@@ -103,49 +103,49 @@ plant algebra, filters, any plant                              2254   1808    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3209    620    150
+synth command, controller record, designer                     3342    621    152
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
     docs/how-to/synth.md
 log re-verification                                             846    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2169   1138     48
+recordings: MCAP, Foxglove, Rerun                              2171   1138     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4132   1351     68
+page and figures                                               4154   1366     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2484   1539    159
+campaigns                                                      2499   1549    162
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               765    335     49
+gallery of papers                                               769    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2458    870     68
+margins in physics                                             2595    890     74
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
-frequency, sweep                                               1868    554     37
+frequency, sweep                                               1867    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2167   1107      0
+ride metrics and their expectation                             2248   1208      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-map of validity                                                1169    369     33
+map of validity                                                1173    369     33
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    1834    835     13
+MuJoCo loop                                                    1887    849     13
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                               1042    370      0
+linear responses                                               1056    370      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3008    887     51
+runs, verdict, their text                                      3124    887     58
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                             995    960    361
+commands that drive                                            1001    997    374
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3448   1486
+house, pages, benchmarks                                          0   3930   1501
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*

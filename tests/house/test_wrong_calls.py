@@ -198,12 +198,12 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
 # What is right after all: another value of the same type, or what is left out by default.
 GOOD = {
     "None": "folder varied usual suspended sample_period beyond dt lower_bound Dyw structure decay gain bests noise X eta "
-    "by_itself through enough Cy beyond_control iri motion order design minimise tolerance largest_gain",
+    "by_itself through enough Cy beyond_control iri motion order design minimise tolerance largest_gain people",
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
     "force stiffness damping ratio stem joint",
     "-1": "height depth amplitude factor index",
     "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
-    "names measured noise bounds family heights Bt Dw",
+    "names measured noise bounds family heights Bt Dw people",
 }
 # By what the text has, or by the parameter that a value is of.
 NAMED_OTHERWISE = {

@@ -42,7 +42,7 @@ class Sweep:
     road: WorstRoad | None  # the one that reaches it; None where there is none such
     loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
-    small: Lines | None = None  # over roads of `SMALLER` of the height, if lines are off and the vehicle turns
+    small: Lines | None = None  # over roads of `SMALLER` of the height, if lines are off and the vehicle turns or has curves
 
     @property
     def controller(self) -> Controller:
@@ -91,7 +91,7 @@ def sweep(
     loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
     off = [line.controller for line in lines if _off(line)[0] > _off(line)[1] and not line.ended]
     small: dict[str, Lines] = {}
-    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and has_geometry(near):
+    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and (near.is_curved or has_geometry(near)):
         small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
     ideal = ideal_measurements(near)
     norms = [

@@ -86,6 +86,7 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
 
 RUNNING = 1.0  # time constant of the running rms [s]
 DEFINITIONS = 7  # version of the metrics and their expectations; one more whenever a number changes
+LATE_WINDOW = 6  # the last version whose weighted metrics had a window that was three samples late
 ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had one value at a jump; else the same numbers
 
 
@@ -195,7 +196,13 @@ class Meter:
     """
 
     def __init__(
-        self, vehicles: Sequence[Vehicle], timestep: float, first: int, loaded: bool = False, pushed: Sequence[bool] | None = None
+        self,
+        vehicles: Sequence[Vehicle],
+        timestep: float,
+        first: int,
+        loaded: bool = False,
+        pushed: Sequence[bool] | None = None,
+        earlier: bool = False,
     ) -> None:
         """Prepares the meter.
 
@@ -205,7 +212,9 @@ class Meter:
             first: index of the first sample measured.
             loaded: True if loads act on any body, so that angles are measured.
             pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.
+            earlier: True for the weighted metrics of earlier versions, whose window was as late as the filter.
         """
+        self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
         self.where = points(self.vehicle)
@@ -310,7 +319,7 @@ class Meter:
     def result(self) -> dict[str, Array]:
         """Returns every metric, shape (N,), after the last block."""
         for name, last in self.last.items():  # the filter is late: straight lines go on behind the last samples
-            self._ride(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, LATE + 1), self.seen)
+            self._ride(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
         values = self.ends | {name: largest for name, largest in self.largest.items() if name.endswith("_peak")}
@@ -335,7 +344,7 @@ class Meter:
 
     def _ride(self, name: str, acceleration: Array, seen: int) -> None:
         """Adds the next samples of an acceleration, shape (N, B), after so many."""
-        skip = max(self.first + LATE - seen, 0)
+        skip = max(self.first + self.late - seen, 0)
         weighted, wk = np.zeros_like(acceleration), self.filter
         parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
         for part in parts:
@@ -369,13 +378,15 @@ class Meter:
         self.largest[name] = np.maximum(self.largest[name], largest) if name in self.largest else largest
 
 
-def measure(vehicle: Vehicle, response: Response, first: int, loaded: bool = False, end: int | None = None) -> dict[str, float]:
+def measure(
+    vehicle: Vehicle, response: Response, first: int, loaded: bool = False, end: int | None = None, earlier: bool = False
+) -> dict[str, float]:
     """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`.
 
     Args:
         end: index of the sample after the last one measured; None for the end of the response.
     """
-    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded)
+    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier)
     meter.update(response.values[:end, :, None])
     return {name: float(value[0]) for name, value in meter.result().items()}
 

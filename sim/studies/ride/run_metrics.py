@@ -237,7 +237,10 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     mujoco, sampled = dict[str, float](), dict[str, float]()
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
-            mujoco, sampled = (measure(vehicle, response, first, road.loaded, end) for response in (run.physics, run.sampled))
+            mujoco, sampled = (
+                measure(vehicle, response, first, road.loaded, end, run.prediction.input.earlier)
+                for response in (run.physics, run.sampled)
+            )
     metrics, curved = {}, expected is not None and expected.line.rounds > 0
     mean, spread = (expected.mean, expected.spread) if expected else ({}, {})
     for metric in metrics_of(vehicle, road.loaded):

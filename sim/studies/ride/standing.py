@@ -234,7 +234,7 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
         share = round(100 * (value / usual - 1))
         return f"{share:+d}" if share else "0"
 
-    return Field(f"{CHANGES[quantity]}{CHANGE}", change)
+    return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
 
 
 def _rides(standings: Sequence[Standing]) -> list[Field[Standing]]:

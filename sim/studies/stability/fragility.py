@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 from sim.physics.step_derivative import step_derivative
-from sim.studies.stability.edge import StabilityEdge, no_progress, search_and_run
+from sim.studies.stability.edge import no_progress, search_and_run
 from sim.studies.stability.margin_search import GainMargin
 from sim.studies.stability.simulated_loop import Trial
 from synth.analysis.certificate import Certificate
@@ -33,13 +33,20 @@ class FragilityEdge(GainMargin):
     A difference of 0.1 is small for a factor of 1.1, but as large as an error of 10 %.
     """
 
+    @classmethod
+    def limit(cls, coarse: float, fine: float) -> float:
+        """Returns the margin extrapolated to timestep zero; infinite if the loop with a finer step is stable."""
+        return math.inf if math.isinf(fine) else 2 * fine - coarse
+
+    @classmethod
+    def shown_by(cls, own: float, coarse: float, fine: float) -> bool:
+        """See `GainMargin.shown_by`; an infinite margin is the loop's own, if only sampling makes the loop unstable."""
+        return math.isinf(own) or super().shown_by(own, coarse, fine)
+
     @property
     def found(self) -> float:
         """Returns the margin extrapolated to timestep zero; infinite if only sampling makes the loop unstable."""
-        coarse, fine = self.search.found, self.finer.found
-        if not self.finer.searched:
-            return coarse
-        return math.inf if math.isinf(self.own) or math.isinf(fine) else 2 * fine - coarse
+        return math.inf if self.finer.searched and math.isinf(self.own) else super().found
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +92,11 @@ def find_fragility(
     def trial(amount: float) -> Trial:
         return Trial(vehicle, with_errors(controller, predicted, amount))
 
-    at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
-    coarse = StabilityEdge(step_derivative(vehicle, timestep), trial, at, MOST)
-    fine = StabilityEdge(step_derivative(vehicle, timestep / 2), trial, at_half, MOST)
-    edge = FragilityEdge(_inside(predicted.stable.smallest_violation), (at, at_half), coarse, fine)
-    search_and_run([coarse], progress)
-    search_and_run([fine] if edge.doubtful else [], progress)
+    own, sampled = _inside(predicted.stable.smallest_violation), partial(_sampled_edge, vehicle, controller, predicted)
+    edge = FragilityEdge.posed(own, sampled, timestep, partial(step_derivative, vehicle), trial, MOST)
+    search_and_run([edge.search], progress)
+    for one in edge.searches[1:] if edge.doubtful else ():
+        search_and_run([one], progress)
     return FragilityFound(gain, predicted, edge, vehicle, controller)
 
 

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Self
 
 import numpy as np
 
@@ -19,12 +21,13 @@ from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_transfer import loop_transfer
 from synth.controller.open_loop import LoopModel
-from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings, sampled_margins
+from synth.controller.stability_margins import LARGEST_FACTOR, Margins, margins, sampled_gain_crossings, sampled_margins
 
 BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # of recorded runs: soon over, lifts no wheel
 LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
-AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
 AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
+ENDS = 1.5e-3  # relative, of a gain found, so that twice the one minus another is known to 0.3 %
+HALVINGS = 9  # of the timestep; runs at finer steps take minutes
 WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
 
 
@@ -33,24 +36,71 @@ class GainMargin:
     """Gain margin of a loop, upwards or downwards, predicted and found; infinite if any factor is stable.
 
     Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
-    of the timestep. If the margin found at one step is not the loop's own, half the step allows to extrapolate.
+    of the timestep, once the step is small enough. If the margin found at one step is not the loop's own, two steps, the second
+    half of the first, allow to extrapolate. `posed` chooses them.
 
     Attributes:
         own: margin predicted for the loop itself, without sampling.
-        sampled: margins predicted for the sampled loop, as RK4 integrates it, at the timestep and at half of it.
+        sampled: margins predicted for the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin at the timestep.
-        finer: search at half of the timestep; not run if it is not needed.
+        finer: search at half of the timestep, or at a smaller step; not run if it is not needed.
+        coarser: search at twice the step of `finer`; None if that is `search`.
     """
 
     own: float
-    sampled: tuple[float, float]
+    sampled: tuple[float, ...]
     search: StabilityEdge
     finer: StabilityEdge
+    coarser: StabilityEdge | None = None
+
+    @classmethod
+    def posed(
+        cls,
+        own: float,
+        sampled: Callable[[float], float],
+        timestep: float,
+        derivative: Callable[[float], StepDerivative],
+        trial: Callable[[float], Trial],
+        most: float,
+    ) -> Self:
+        """Returns a margin with its searches, not yet run, at the timestep and at finer ones that show the loop's own.
+
+        Args:
+            own: margin predicted for the loop itself.
+            sampled: timestep -> margin predicted for the sampled loop.
+            timestep: timestep of the physics [s].
+            derivative: timestep -> derivative of MuJoCo's step.
+            trial, most: see `StabilityEdge`.
+        """
+        steps = [timestep, timestep / 2]
+        amounts = [sampled(step) for step in steps]
+        while len(steps) <= HALVINGS and not cls.shown_by(own, *amounts[-2:]):
+            steps.append(steps[-1] / 2)
+            amounts.append(sampled(steps[-1]))
+        tried = sorted({0, len(steps) - 2, len(steps) - 1})
+        search, *coarser, finer = (StabilityEdge(derivative(steps[i]), trial, amounts[i], most) for i in tried)
+        return cls(own, tuple(amounts[i] for i in tried), search, finer, *coarser)
+
+    @property
+    def searches(self) -> tuple[StabilityEdge, ...]:
+        """The searches by decreasing timestep."""
+        return (self.search, self.finer) if self.coarser is None else (self.search, self.coarser, self.finer)
 
     @property
     def tried(self) -> list[tuple[float, StabilityEdge]]:
         """Returns the searches that were run, each with the margin predicted for the sampled loop at its timestep."""
-        return [(at, one) for at, one in zip(self.sampled, (self.search, self.finer), strict=True) if one.searched]
+        return [(at, one) for at, one in zip(self.sampled, self.searches, strict=True) if one.searched]
+
+    @classmethod
+    def limit(cls, coarse: float, fine: float) -> float:
+        """Returns the margin at timestep zero from those at a step and at half of it; infinite if it grows without end."""
+        return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
+
+    @classmethod
+    def shown_by(cls, own: float, coarse: float, fine: float) -> bool:
+        """Returns True if margins of the sampled loop at a step and at half of it allow to extrapolate to the loop's own."""
+        within = max(abs(fine - coarse) / 2, AGREES * own)
+        return all(_close(own, cls.limit(coarse, share * fine), within) for share in (1 - ENDS, 1 + ENDS))
 
     @property
     def doubtful(self) -> bool:
@@ -60,12 +110,13 @@ class GainMargin:
     @property
     def found(self) -> float:
         """Returns the margin extrapolated to timestep zero; infinite if it grows as the step shrinks, and so is the sampling's
-        alone.
+        alone; NaN if it still grows at the smallest step, towards a larger one of the loop's own.
         """
         if not self.finer.searched:
             return self.search.found
-        coarse, fine = self.search.found, self.finer.found
-        return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
+        if self.sampled[-1] < self.own < math.inf and math.isinf(self.limit(*self.sampled[-2:])):
+            return math.nan
+        return self.limit(*(one.found for one in self.searches[-2:]))
 
     @property
     def extrapolated(self) -> bool:
@@ -79,7 +130,8 @@ class GainMargin:
         The extrapolation is off by a second power of the step: by less than half of the change by halving.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
-        moved = abs(self.finer.found - self.search.found) if self.finer.searched else 0.0
+        coarse, fine = (one.found for one in self.searches[-2:])
+        moved = abs(fine - coarse) if self.finer.searched else 0.0
         return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
 
 
@@ -147,7 +199,7 @@ def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
 
 def _close(predicted: float, measured: float, within: float) -> bool:
     """Returns whether a margin is as predicted; NaN, which no run decides, contradicts nothing."""
-    return predicted == measured or math.isnan(measured) or (math.isfinite(predicted) and abs(predicted - measured) <= within)
+    return predicted == measured or math.isnan(measured) or abs(predicted - measured) <= within < math.inf
 
 
 def find_margins(
@@ -195,7 +247,9 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
     gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
     others = [search for one in loops for search in (one.delay, one.sample_period) if search.most]
     search_and_run([*(gain.search for gain in gains), *others], progress)
-    search_and_run([gain.finer for gain in gains if gain.doubtful], progress)
+    finer = [one for gain in gains if gain.doubtful for one in gain.searches[1:]]
+    for timestep in sorted({one.step.timestep for one in finer}, reverse=True):
+        search_and_run([one for one in finer if one.step.timestep == timestep], progress)
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
@@ -204,7 +258,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
     loop = cut_out, rest if rest.law.acts else None
-    steps = step_derivative(vehicle, timestep), step_derivative(vehicle, timestep / 2)
+    derivative = partial(step_derivative, vehicle)
 
     def delayed(amount: float) -> Trial:
         return Trial(replace(vehicle, implementation=Implementation(delay=round(amount / timestep))), *loop)
@@ -214,15 +268,20 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         return Trial(on, controller) if predicted.all_sampled else Trial(on, *loop)
 
     prompt = replace(vehicle, implementation=Implementation())
-    loops = [LoopModel(prompt, controller, step.timestep, taylor4) for step in steps]
-    sampled = [sampled_gain_crossings(*loop.cut(actuators)) for loop in loops]
+
+    @cache
+    def sampled(timestep: float) -> list[float]:
+        return sampled_gain_crossings(*LoopModel(prompt, controller, timestep, taylor4).cut(actuators))
+
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
-    period = predicted.sample_period
+    late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
         predicted,
-        *_gain_margins(vehicle, controller, mine, predicted, steps, sampled),
-        delay=StabilityEdge(steps[0], delayed, late if late < SLOWEST else math.inf, LONGEST, timestep),
-        sample_period=StabilityEdge(steps[0], sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep),
+        *_gain_margins(vehicle, controller, mine, predicted, timestep, derivative, sampled),
+        delay=StabilityEdge(derivative(timestep), delayed, late, LONGEST, timestep),
+        sample_period=StabilityEdge(
+            derivative(timestep), sampled_at, period if period < SLOWEST else math.inf, LONGEST, timestep
+        ),
         timestep=timestep,
         predicted_delay=predicted.delay,
     )
@@ -238,7 +297,7 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     loop = LoopModel(replace(vehicle, implementation=how), controller, timestep)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     predicted = sampled_margins(*loop.cut(actuators), loop.period)
-    step = step_derivative(replace(vehicle, implementation=Implementation()), timestep)
+    derivative = partial(step_derivative, replace(vehicle, implementation=Implementation()))
 
     def later(amount: float) -> Trial:
         steps = round(how.delay * loop.steps) + round(amount / timestep)
@@ -253,9 +312,9 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     factors = [factor for factor in (predicted.gain, predicted.gain_lower) if 0 < factor < math.inf]
     return LoopMargins(
         predicted,
-        *_gain_margins(loop.vehicle, controller, mine, predicted, (step, step), [factors, factors]),
-        delay=StabilityEdge(step, later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
-        sample_period=StabilityEdge(step, later, math.inf, 0.0),
+        *_gain_margins(loop.vehicle, controller, mine, predicted, timestep, derivative, lambda _: factors),
+        delay=StabilityEdge(derivative(timestep), later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
+        sample_period=StabilityEdge(derivative(timestep), later, math.inf, 0.0),
         timestep=timestep,
         predicted_delay=late if math.isfinite(late) else predicted.delay,
     )
@@ -266,17 +325,26 @@ def _gain_margins(
     controller: Controller,
     mine: Array,
     predicted: Margins,
-    steps: tuple[StepDerivative, StepDerivative],
-    sampled: Sequence[Sequence[float]],
+    timestep: float,
+    derivative: Callable[[float], StepDerivative],
+    sampled: Callable[[float], Sequence[float]],
 ) -> Iterator[GainMargin]:
-    """Yields the gain margin of some forces and the lower one; `sampled` has the factors at which the sampled loops change."""
+    """Yields the gain margin of some forces and the lower one.
+
+    Args:
+        derivative: timestep -> derivative of MuJoCo's step.
+        sampled: timestep -> factors at which the sampled loop changes between stable and unstable.
+    """
 
     def with_gain(factor: float) -> Trial:
         return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
         # A factor to this power is an amount above 1: how many times more gain, or how many times less.
-        coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
-        pairs = zip(steps, (coarse, fine), strict=True)
-        ends = (StabilityEdge(step, lambda amount, k=power: with_gain(amount**k), at, AMPLE) for step, at in pairs)
-        yield GainMargin(own**power if own else math.inf, (coarse, fine), *ends)
+        def amount(step: float, k: int = power) -> float:
+            return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
+
+        def trial(amount: float, k: int = power) -> Trial:
+            return with_gain(amount**k)
+
+        yield GainMargin.posed(own**power if own else math.inf, amount, timestep, derivative, trial, LARGEST_FACTOR)

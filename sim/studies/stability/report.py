@@ -181,7 +181,8 @@ def _errors_document(found: StabilityMargins) -> Document:
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
     """Returns the margins of several controllers of a vehicle as a document with figures."""
-    vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
+    vehicle, timestep, box = found[0].vehicle, found[0].loops[""].timestep, found[0].box
+    varied = box.text if box else varied_text(vehicle.kind)
     texts = [
         "Each margin applies to all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
         f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm the margin: one decays, and one grows.",
@@ -189,8 +190,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
         "Phase and delay have no limit if no eigenvalue of the loop transfer function L has magnitude 1 at any frequency. "
         f"A gain has no limit if the loop is stable up to factor {LARGEST_FACTOR:g}.",
-        f"Other vehicles: {found[0].box.text if found[0].box else varied_text(vehicle.kind)}. "
-        "Nothing is proved between the vehicles that were computed.",
+        f"Other vehicles: {varied}. Nothing is proved between the vehicles that were computed.",
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
