@@ -21,14 +21,14 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2670   1913      0
+what all commands share: files, options, checks, tables of numbers   3029   1913      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5366   1774    253
+vehicle file, types, equations, MJCF                           5347   1856    253
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
-    tests/*/test_{cars,heights,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
+    tests/*/test_{cars,heights,mjcf,new,on_demand,sections,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,vehicle-data}.md
 laws and families in files                                      259    349    108
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
@@ -39,18 +39,18 @@ laws in Python                                                  657    729    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            193    410    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1292    860    148
+semi-active dampers and laws                                   1299    860    148
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3039   2453     75
+curves of dampers and springs, statistical linearisation       3059   2453     75
     models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
     sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
-bump stops                                                      565    237      0
+bump stops                                                      559    237      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
 loads, links, tyre damping                                      827   1568     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
@@ -116,7 +116,7 @@ recordings: MCAP, Foxglove, Rerun                              2171   1138     4
 page and figures                                               4154   1366     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2499   1549    162
+campaigns                                                      2493   1549    162
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               769    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
@@ -145,7 +145,7 @@ commands that drive                                            1001    997    37
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3930   1501
+house, pages, benchmarks                                          0   3931   1496
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*
