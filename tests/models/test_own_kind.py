@@ -293,7 +293,8 @@ def test_the_ride_of_a_person_comes_first(folder, capsys):
     assert synth([*vehicle, "--json"]) == 0
     printed = capsys.readouterr()
     found, road = json.loads(printed.out)["expected_ride"], Iso8608("C", speed=20.0).spectrum
-    f = np.linspace(*(np.array(road.band) / (2 * np.pi)), 400_001)
+    low, high = (rate / (2 * np.pi) for rate in road.band)
+    f = np.linspace(low, high, 400_001)
     s = 2j * np.pi * f
     (m_p, m, k_p, c_p, k) = (80.0, 300.0, 15000.0, 900.0, 20000.0)
     seat = k_p + c_p * s

@@ -2,6 +2,7 @@
 
 import json
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -312,9 +313,9 @@ def test_a_preloaded_spring_follows_the_mass(tmp_path, kind, turning):
     for end in axles:
         other = sum(arm for name, arm in arms.items() if name != end) / sum(arms.values()) if end else 1.0
         load = heavy.parameters["sprung_mass"] * 9.81 * other / (2 if kind == "full_car" else 1) / ratio
-        rest = brentq(lambda at, load=load: np.interp(at, squeeze, push) - load, 0.0, squeeze[-1])
+        rest: Any = brentq(lambda at, load=load: np.interp(at, squeeze, push) - load, 0.0, squeeze[-1])
         rate = np.diff(np.interp([rest - 1e-6, rest + 1e-6], squeeze, push))[0] / 2e-6
-        at_wheel = changed.kind.at_wheels(changed.parameters)[f"suspension_stiffness{end}"]
+        at_wheel = heavy.kind.at_wheels(heavy.parameters)[f"suspension_stiffness{end}"]
         assert at_wheel == pytest.approx(ratio**2 * rate - turn * load, rel=1e-6)
     assert dict(vehicle.with_parameters(**{f"tyre_stiffness{axles[0]}": 2e5}).curves) == dict(vehicle.curves)
     with refused("extend the table"):

@@ -119,7 +119,7 @@ def test_the_whole_window_of_a_run_that_ends_in_motion_counts(paper, first):
     w1, w2, w3, w5, w6 = (2 * np.pi * f for f in (f1, f2, f3, f5, f6))
     zeros = np.polymul([1 / w3, 1], [1 / w5**2, 1 / (q5 * w5), 1]) * w2**2 * (w5 / w6) ** 2
     below = [[1, w * 2**0.5, w**2] for w in (w1, w2)] + [[1 / w3**2, 1 / (q4 * w3), 1], [1 / w6**2, 1 / (q6 * w6), 1]]
-    analog = signal.lti(np.polymul([1, 0, 0], zeros), functools.reduce(np.polymul, below)).to_ss()
+    analog = signal.StateSpace(*signal.tf2ss(np.polymul([1, 0, 0], zeros), functools.reduce(np.polymul, below)))
     passive, road = [Designer(paper).design("passive")], Bump(height=0.05)
     coarse, fine = (run_controllers(paper, passive, road, sample_times(paper, 0.3, h))[0] for h in (1e-3, 5e-5))
     _, weighted, _ = signal.lsim(analog, fine.continuous["sprung_acceleration"], fine.prediction.time)
