@@ -257,3 +257,19 @@ def test_a_margin_beyond_that_of_sampling(paper, measured, gain, bandwidth, time
     assert len(margin.searches) == steps
     assert margin.agrees
     assert margin.found == pytest.approx(margin.own, rel=5e-2 if bandwidth else 2e-3)
+
+
+def test_an_instability_between_two_steps(paper):
+    """Sampled every 43.2 to 46.7 ms this loop is unstable. Multiples of 8 ms pass over that, and the linear loop's, too."""
+    parameters = {"sprung_mass": 857.2, "unsprung_mass": 36.84, "suspension_stiffness": 23277.0, "suspension_damping": 254.5}
+    vehicle = paper.with_parameters(**parameters, tyre_stiffness=156441.0)
+    law = LinearLaw(*(np.array([[number]]) for number in (-16.8184, 1.0, 682817.68, -25017.84)))
+    one = searches(vehicle, certify_given(vehicle, "filtered", ("suspension_deflection",), law), [0], 8e-3)
+    assert one.predicted.sample_period == pytest.approx(43.2e-3, abs=0.1e-3)
+    for edge in (one.gain.search, one.gain_lower.search, one.delay, one.sample_period):
+        edge.search()
+    assert one.sample_period.unstable == math.inf
+    assert one.agrees
+    assert not dataclasses.replace(one, slow_grows=lambda period: period > 0.1).agrees
+    fast = dataclasses.replace(one.sample_period, unstable=32e-3)
+    assert not dataclasses.replace(one, sample_period=fast, slow_grows=lambda period: period >= 32e-3).agrees

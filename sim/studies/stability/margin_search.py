@@ -15,6 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.physics.step_derivative import StepDerivative, step_derivative
 from sim.runs.run import sample_times
+from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
 from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
@@ -146,6 +147,7 @@ class LoopMargins:
         sample_period: search for the sample period; not run for an implemented loop.
         timestep: timestep of the physics [s].
         predicted_delay: smallest unstable delay of the linear loop [s].
+        late_grows, slow_grows: delay or sample period, a multiple of the timestep [s] -> True if the linear loop is unstable.
     """
 
     predicted: Margins
@@ -155,6 +157,8 @@ class LoopMargins:
     sample_period: StabilityEdge
     timestep: float
     predicted_delay: float
+    late_grows: Callable[[float], bool] | None = None
+    slow_grows: Callable[[float], bool] | None = None
 
     @property
     def found_gain_lower(self) -> float:
@@ -185,9 +189,22 @@ class LoopMargins:
             and self.gain_lower.agrees
             and self.delay.confirmed
             and self.sample_period.confirmed
-            and _close(self.predicted_delay, self.found_delay, self.timestep)
-            and _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
+            and (_close(self.predicted_delay, self.found_delay, self.timestep) or _passed_over(self.delay, self.late_grows))
+            and (
+                _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
+                or _passed_over(self.sample_period, self.slow_grows)
+            )
         )
+
+
+def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> bool:
+    """Returns True if the linear loop, too, is unstable as late as MuJoCo at multiples of the timestep.
+
+    The loop is then unstable where it is predicted to be, but for less than a timestep.
+    """
+    if grows is None or not edge.unstable > edge.expected:
+        return False
+    return edge.unstable == smallest_unstable(grows, edge.expected, edge.most, edge.multiple)[1]
 
 
 def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
@@ -253,7 +270,8 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
-    predicted = margins(loop_transfer(vehicle, controller, actuators))
+    transfer = loop_transfer(vehicle, controller, actuators)
+    predicted = margins(transfer)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
     loop = cut_out, rest if rest.law.acts else None
@@ -267,6 +285,11 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         return Trial(on, controller) if predicted.all_sampled else Trial(on, *loop)
 
     prompt = replace(vehicle, implementation=Implementation())
+
+    def late_grows(delay: float) -> bool:
+        undelayed = LoopModel(prompt, controller, timestep).cut(actuators)
+        return abs(slowest_from_sample_to_sample(*undelayed, round(delay / timestep))) > 1
+
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
@@ -276,6 +299,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         sample_period=StabilityEdge(derivative(timestep), sampled_at, period, LONGEST, timestep),
         timestep=timestep,
         predicted_delay=predicted.delay,
+        late_grows=late_grows,
+        slow_grows=lambda period: transfer.sampled_growth(period) > 0,
     )
 
 

@@ -318,7 +318,8 @@ def _joined(*texts: str) -> str:
 def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
     """Returns a note on a time at which a loop is unstable, with the reason if no run decides it."""
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
-    return _joined(*texts, reason if edge.decided else UNDECIDED)
+    missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)
+    return _joined(*texts, missed, reason if edge.decided else UNDECIDED)
 
 
 def _worst_errors(found: StabilityMargins) -> str:
