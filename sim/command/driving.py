@@ -167,7 +167,7 @@ def drive(
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
         about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
-            about += f"; -v prints norms{', expected ride' if rides and road.spectrum else ''} and signals"
+            about += "; -v prints more"
         lines += ["", *standing_lines(standings, about)]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         lines += ["", *text_lines(Document("", verdicts(shown)))]

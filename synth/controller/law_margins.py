@@ -28,6 +28,7 @@ from synth.controller.disk_margin import DiskMargin, disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
+MANY = 3  # pairs of margins that a sentence lists in full; of more, the smallest disk margins
 FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
@@ -108,10 +109,14 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
-    small = by_text((name, one.pair) for name, one in margins.items() if one.small and name not in grow)
-    pairs = "; ".join(f"{names} {pair}" for pair, names in small.items())
+    small = {name: one for name, one in margins.items() if one.small and name not in grow}
+    pairs = by_text((name, one.pair) for name, one in small.items())
+    below = f"Small stability margins of the ideal loop (gain/disk): {'; '.join(f'{names} {pair}' for pair, names in pairs.items())}"
+    if len(pairs) > MANY:
+        disks = sorted((one.disk or 0.0, name) for name, one in small.items())
+        below = f"Small disk margins: {', '.join(f'{as_name(name)} {disk:#.2g}' for disk, name in disks[:MANY])}, {len(disks) - MANY} more"
     texts = [f"Control laws that are unstable by themselves{''.join(clipped)}: {rates}"] if grow else []
-    return [*texts, *([f"Small stability margins of the ideal loop (gain/disk): {pairs}"] if pairs else [])]
+    return [*texts, *([below] if small else [])]
 
 
 def unstable_by_itself(driver: AnyController) -> bool:

@@ -55,5 +55,6 @@ def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:
             if abs(new - old) > SAME * abs(new):
                 where = "" if section == "parameters" else f"[{section}] "
                 unit = "" if where else units.get(name, "")
-                texts.append(f"{where}{name} {as_entry(new)} instead of {as_entry(old)}{unit}")
+                shown = [as_entry(value) if name in section else "none" for value, section in ((new, now), (old, before))]
+                texts.append(f"{where}{name} {shown[0]} instead of {shown[1]}{unit}")
     return texts

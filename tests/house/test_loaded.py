@@ -24,7 +24,7 @@ LOADED = {
     "sim.bump --controller I --duration 0.5 --logs DIR": (131, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
     "sim.bump --controller I --no-logs --json": (119, {"mujoco"}),
     "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (121, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (153, {"mujoco", "scipy.special"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (155, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
         122,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},

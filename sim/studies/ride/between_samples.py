@@ -169,7 +169,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
         preview = getattr(run.controller, "preview", None)
         ahead = {0.0, preview.seconds if preview is not None else 0.0}
         jumps = {at - before for at, *_ in jumps_under_wheels(road, run.vehicle) for before in ahead}
-        whole = {name: _cut_at(one, sorted(jumps)) for name, one in whole.items()}
+        whole = {name: _cut_at(one, sorted(jumps), preview is None) for name, one in whole.items()}
     if cut <= 1 or not len(kinks) or not whole:
         return whole
     some = min(math.ceil(kinks[-1] / h) + 1, len(time) - 1)
@@ -190,6 +190,8 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     else:
         return {}
     start = (prediction.time[:steps, None] + np.arange(cut) * (h / cut)).ravel()
+    ats = [at for at, *_ in jumps_under_wheels(run.road, run.vehicle)]
+    edges = [k for k in road.vertical_edges(held=False) if np.abs(road.time[k] - ats).min() <= EARLY * h]
     pieces = {}
     for name in signals:
         values = response[name]
@@ -198,14 +200,16 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
+        for k in (k for k in edges if name in response.before and k % parts == 0):  # a piece begins with its own side
+            values[k // parts, 0] = response.before[name][k]
         pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
     return pieces
 
 
-def _cut_at(pieces: Pieces, jumps: Sequence[float]) -> Pieces:
+def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
     """Returns pieces cut at jumps of the signal [s], whose polynomials go through points on their own side of a jump.
 
-    The points have the value before a jump at its time.
+    The points have the value before a jump at its time; with `behind`, a piece that begins there has the value behind it.
     """
     for at in (one for one in jumps if 0 <= one < pieces.start[-1]):
         near = EARLY * pieces.length[0]
@@ -214,6 +218,8 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float]) -> Pieces:
         times, first = np.unique((pieces.start[rows, None] + pieces.length[rows, None] * points).round(12), return_index=True)
         values, left = pieces.values[rows].ravel()[first], times <= at + near
         start, length = pieces.start[k], pieces.length[k]
+        if behind and at - start <= near:
+            continue
         ends = [(start, at, left), (at, start + length, ~left)] if at - start > near else [(start, start + length, ~left)]
         new = []
         for begin, end, side in ends:
