@@ -24,6 +24,7 @@ import numpy as np
 import models
 import sim
 import synth
+from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
@@ -38,16 +39,16 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Bump
-from models.suspension import STOP_KEYS, STOP_NAMES, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
-from models.vehicle import payload
+from models.suspension.damper import ActuatorSection
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
-from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits
+from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
+from models.vehicle.payload import PayloadSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
-from sim.campaign.file import KEYS as CAMPAIGN_KEYS
-from sim.campaign.file import Campaign
+from sim.campaign.file import CampaignFile
+from sim.campaign.samples import SamplesSection
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -189,17 +190,14 @@ def shown_in(key: str) -> str:
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:3])
 
 
-PAYLOAD = {
-    "mass": "point mass on the body",
-    "x": "position of the point mass, forward of the unladen body's centre of mass",
-    "z": "height of the point mass above the unladen body's centre of mass",
-}
+def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
+    """Returns the keys of a section with their units and meanings."""
+    return [(name, key.unit, key.meaning) for name, key in schema.keys(section).items()]
 
 
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
-    own, entry, goals = attributes(Implementation), attributes(ControllerEntry), attributes(Goals)
-    limits, stops = {one.name: one for one in LIMITS}, attributes(Limits)
+    entry, goals = attributes(ControllerEntry), attributes(Goals)
     laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
     sections = {
         f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
@@ -216,19 +214,16 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
         for key in semi_active.KEYS
     ]
-    sections["[limits]"] = [(key, "", stops.get(key, f"the same as `{STOP_KEYS[1]}`")) for key in STOP_NAMES]
-    sections["[limits]"] += [*((key, one.unit, one.meaning) for key, one in limits.items()), ("limit", "", stops["limit"])]
-    sections["[implementation]"] = [
-        (key, "", own.get(key, "design for the sampled-data loop, unless a controller's section sets another value"))
-        for key in IMPLEMENTATION_KEYS
-    ]
+    sections["[limits]"] = section_keys(LimitsSection)
+    sections["[implementation]"] = section_keys(ImplementationSection)
     sections["[curves]"] = [
         (key, "", "remark on the table, printed as a warning" if key == "note" else "")
         for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
     ]
-    sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
-    sections["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
-    sections["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
+    sections["[actuators]"] = section_keys(ActuatorSection)
+    sections["[payload]"] = section_keys(PayloadSection)
+    sections["a campaign file"] = section_keys(CampaignFile)
+    sections["[samples] of a campaign file"] = section_keys(SamplesSection)
     return sections
 
 

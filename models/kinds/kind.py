@@ -342,6 +342,12 @@ class VehicleKind(Checked):
         named = tuple(signal for signal in more if signal.name in names and signal.name not in known)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
+    def units_of(self, names: Iterable[str]) -> dict[str, str]:
+        """Returns the unit of each of some signals, by name; signals on demand count, too."""
+        known = (*self.signals, *self.on_demand, *(suspension.velocity for suspension in self.suspensions))
+        units = {signal.name: signal.unit for signal in known}
+        return {name: units[name] for name in names}
+
     def carrying(self, parameters: Parameters) -> "VehicleKind":
         """Returns the kind with loads on the wheels, if vehicles of these parameters have some."""
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))

@@ -32,25 +32,25 @@ F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
 HORIZONTAL = 2.0  # Hz, in the place of f3 and f4 in W_d
 
-Section = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
+Biquad = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
 
 
-def _limits() -> tuple[Section, Section]:
+def _limits() -> tuple[Biquad, Biquad]:
     low, high = 2 * np.pi * F1, 2 * np.pi * F2
     return ((1.0, 0.0, 0.0), (1.0, low / Q1, low**2)), ((high**2,), (1.0, high / Q2, high**2))
 
 
-def _step(f3: float, f4: float) -> Section:
+def _step(f3: float, f4: float) -> Biquad:
     w3, w4 = 2 * np.pi * f3, 2 * np.pi * f4
     return (w4**2 / w3, w4**2), (1.0, w4 / Q4, w4**2)
 
 
-def _upward() -> Section:
+def _upward() -> Biquad:
     w5, w6 = 2 * np.pi * F5, 2 * np.pi * F6
     return (1.0, w5 / Q5, w5**2), (1.0, w6 / Q6, w6**2)
 
 
-WEIGHTINGS: dict[str, tuple[Section, ...]] = {
+WEIGHTINGS: dict[str, tuple[Biquad, ...]] = {
     "iso2631_wk": (*_limits(), _step(F3, F4), _upward()),
     "iso2631_wd": (*_limits(), _step(HORIZONTAL, HORIZONTAL)),
 }
@@ -87,7 +87,7 @@ class Filter:
             of range.
     """
 
-    sections: tuple[Section, ...]
+    sections: tuple[Biquad, ...]
     name: str = ""
     integrates: bool = False
 
@@ -132,7 +132,7 @@ class Filter:
         return Realisation(A, np.vstack([B, [[1.0]]]), np.hstack([C, [[self.residue]]]), D)
 
     @property
-    def _remaining(self) -> tuple[Section, ...]:
+    def _remaining(self) -> tuple[Biquad, ...]:
         """The sections of F_0: (N - r D) / (s D) of N / (s D), whose numerator has no constant."""
         if not self.residue:
             return self.sections
@@ -142,7 +142,7 @@ class Filter:
         left = wide - self.residue * np.concatenate([[0.0], rest])
         return ((tuple(left[:-1].tolist()), rest),)
 
-    def _states(self, sections: tuple[Section, ...]) -> Realisation:
+    def _states(self, sections: tuple[Biquad, ...]) -> Realisation:
         A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
         for above, below in sections:
             a, b, c, d = _controllable(above, below)

@@ -12,16 +12,17 @@ leaves out is taken from the section with more corners. So `[limits.rear]` may h
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, number_within
+from models.common.checks import check_keys
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, read
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
 ROUNDING = 1e-9  # of the largest force of a table: less is 0
-SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
 
 @dataclass(frozen=True)
@@ -255,22 +255,70 @@ class Stops:
         return f"{'progressive ' * progressive}bump stops at {where}"
 
 
-def read_stroke(where: str, value: Any) -> float | StopPair:
-    """Reads a stroke, or one for each side [m].
+@dataclass(frozen=True)
+class OfSides(Key):
+    """A value for both sides, or one for each side: { bump = ..., rebound = ... }; an omitted side has no stop."""
 
-    Raises:
-        InputError: the value is not allowed.
-    """
-    return _of_sides(where, value, lambda where, stroke: number_within(where, stroke, SMALLEST, LARGEST, "m"))
+    one: Key
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.one.unit)
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns the value, or a `StopPair`."""
+        if not isinstance(value, Mapping) or {"force", "file"} & set(value):
+            return self.one.read(value, context)
+        given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
+        if not given or not set(given) <= set(SIDES):
+            raise InputError(
+                f"{HERE} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
+            )
+        return StopPair(*(below(side, self.one, given[side], context) if side in given else None for side in SIDES))
 
 
-def read_stiffness(where: str, value: Any) -> Stiffness | StopPair:
-    """Reads a stiffness [N/m], up to three coefficients, a table, or these for each side.
+@dataclass(frozen=True)
+class StopStiffness(Key):
+    """A stiffness, up to three coefficients, or a table of force over compression."""
 
-    Raises:
-        InputError: the value is not allowed.
-    """
-    return _of_sides(where, value, _stiffness)
+    meaning: str = ""
+    unit: str = "N/m"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> "Stiffness":
+        """Returns the stiffness."""
+        if isinstance(value, Mapping):
+            with error_in(f"{HERE}:"):
+                return _stop_table(value)
+        if not isinstance(value, (list, tuple)):
+            return SI("N/m").number(HERE, value)
+        if not 1 <= len(value) <= MOST:
+            raise InputError(
+                f"{HERE} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
+                "push back with k_1 x + k_2 x^2 + k_3 x^3"
+            )
+        units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
+        return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
+
+
+@dataclass(frozen=True)
+class StopSection(Section):
+    """Keys of bump stops in `[limits]`, and in `[limits.CORNER]`."""
+
+    hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("actuator_force", "actuator_bandwidth", "limit"), "is a key of all suspensions; move it to [limits]"
+    )
+
+    suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel either way before the bump stop")] = None
+    stop_stiffness: Annotated[Any, OfSides(StopStiffness(), "stiffness of the stop, up to three coefficients, or a table")] = None
+    stop: Annotated[Any, OfSides(StopStiffness(), "the same as `stop_stiffness`")] = None
+
+    def __post_init__(self) -> None:
+        if self.stop is not None and self.stop_stiffness is not None:
+            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
+
+    def place(self, name: str) -> "Place":
+        """Returns the keys as those of a corner, an axle, or all corners."""
+        return Place(name, self.suspension_stroke, self.stop if self.stop_stiffness is None else self.stop_stiffness)
 
 
 def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> Stops:
@@ -309,44 +357,16 @@ def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, f
     return first, second, third
 
 
-def _of_sides(where: str, value: Any, read: Any) -> Any:
-    if not isinstance(value, Mapping) or {"force", "file"} & set(value):
-        return read(where, value)
-    given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
-    if not given or not set(given) <= set(SIDES):
-        raise InputError(
-            f"{where} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
-        )
-    return StopPair(*(read(f"{where} {side}", given[side]) if side in given else None for side in SIDES))
-
-
-def _stiffness(where: str, value: Any) -> Stiffness:
-    if isinstance(value, Mapping):
-        key = where.replace(STOP_KEYS[1], STOP)  # the name of the key for tables
-        with error_in(f"{key}:" if key.startswith("[") else f"[limits] {key}:"):
-            return _stop_table(value)
-    if not isinstance(value, (list, tuple)):
-        return number_within(where, value, SMALLEST, LARGEST, "N/m")
-    if not 1 <= len(value) <= MOST:
-        raise InputError(
-            f"{where} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
-            "push back with k_1 x + k_2 x^2 + k_3 x^3"
-        )
-    units = ("N/m", "N/m2", "N/m3")
-    least = (SMALLEST, 0.0, 0.0)
-    return tuple(number_within(f"{where}[{i}]", k, least[i], LARGEST, units[i]) for i, k in enumerate(value))
-
-
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
-    from models.suspension.curve_reading import DEFLECTION, points
+    from models.suspension.curve_reading import DEFLECTION, in_si, points
 
     check_keys("", value, TABLE_KEYS)
     if "file" in value:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
         raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
-    # A log has tuples.
-    x, force = points({key: list(one) if isinstance(one, tuple) else one for key, one in value.items()}, DEFLECTION)
+    value = in_si(value)
+    x, force = points(value, DEFLECTION)
     x, force = -x[::-1], -force[::-1]
     if not force.any():
         raise InputError("has a table without a force against bump or rebound")
@@ -355,9 +375,6 @@ def _stop_table(value: Mapping[str, Any]) -> StopTable:
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
     _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
     return table
-
-
-READERS: Mapping[str, Callable[[str, Any], Any]] = dict(zip(STOP_KEYS, (read_stroke, read_stiffness), strict=True))
 
 
 @dataclass(frozen=True)
@@ -379,34 +396,23 @@ class Place:
         return not self.name or f"{corner}_".startswith(f"{self.name}_")
 
 
-def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Place, ...]:
+def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> tuple[Place, ...]:
     """Returns the stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
 
     Args:
-        section: section of the file, of stops alone.
+        common: keys of stops of all suspensions.
+        own: sections of corners and axles.
         corners: names of the suspensions' corners; empty for a single suspension.
 
     Raises:
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
     """
-    if section and not corners:
-        raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
-    section = _with_one_name("[limits]", section)
-    common, known = {name: value for name, value in section.items() if name in STOP_KEYS}, places_of(corners)
-    places = [_place("[limits]", "", common)]
-    for name, value in section.items():
-        if name in STOP_KEYS:
-            continue
+    known, places = places_of(corners), [common.place("")]
+    for name, value in own.items():
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
             raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_NAMES)}")
-        for key in value:
-            if key not in STOP_NAMES:
-                raise InputError(
-                    f"[limits.{name}] unknown key {key!r}; known: {listing(STOP_NAMES)}; the rest is of all suspensions"
-                )
-        value = _with_one_name(f"[limits.{name}]", value)
-        places.append(_place(f"[limits.{name}]", name, value))
+        places.append(read(f"[limits.{name}]", StopSection, value).place(name))
     for corner in corners:
         stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
         polynomial = any(not isinstance(_of_side(stiffness, side), StopTable | None) for side in SIDES)
@@ -450,13 +456,6 @@ def stop_words(by_corner: Mapping[str, Stops | None]) -> list[str]:
     return [stops.words + _where(corners, list(by_corner)) for stops, corners in alike.items()]
 
 
-def _with_one_name(where: str, section: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a section with `stop_stiffness` instead of `stop`, its name for tables."""
-    if STOP in section and STOP_KEYS[1] in section:
-        raise InputError(f"{where} has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
-    return {STOP_KEYS[1] if name == STOP else name: value for name, value in section.items()}
-
-
 def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
     """Names some corners by the shortest names that fit them alone."""
     if len(corners) == len(corners_of_vehicle):
@@ -467,11 +466,6 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
         if {*members} <= {*corners} and not any(Place(other).holds(name) for other in names):
             names.append(name)
     return f" ({', '.join(names)})"
-
-
-def _place(where: str, name: str, section: Mapping[str, Any]) -> Place:
-    said = f"{where} " if name else ""
-    return Place(name, **{key: READERS[key](f"{said}{key}", value) for key, value in section.items()})
 
 
 def _said(places: Sequence[Place], corner: str, key: str) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_keys, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.units import in_unit
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.curve_lines import lines_from_rest, slopes_at_rest, thinned
 from models.suspension.surface import ForceSurface, surface_of
@@ -56,18 +57,24 @@ class Argument:
         unit: SI unit.
         largest: largest allowed value; larger ones are in another unit.
         small: the likely wrong unit.
+        slope: SI unit of force over the argument.
     """
 
     name: str
     unit: str
     largest: float
     small: str
+    slope: str
 
 
-VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s")
-DEFLECTION = Argument("deflection", "m", 5.0, "mm")
+VELOCITY = Argument("velocity", "m/s", 50.0, "mm/s", "N s/m")
+DEFLECTION = Argument("deflection", "m", 5.0, "mm", "N/m")
 COMPRESSION = "compression"
 FRICTION = ("friction", "friction_velocity")
+UNITS = {  # of the keys of tables; lists hold numbers in these units, too
+    "velocity": "m/s", "deflection": "m", "compression": "m", "force": "N", "ratio": "1", "fit_error": "1", "preload": "N",
+    "friction": "N", "friction_velocity": "m/s",
+}  # fmt: skip
 
 
 def read_curves(
@@ -103,6 +110,19 @@ def curve_keys(over: Argument) -> tuple[str, ...]:
     return (*_names(over), "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ("preload",)), "note")
 
 
+def in_si(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a table with numbers in SI units instead of numbers with units, and lists instead of the tuples of a log.
+
+    Raises:
+        InputError: a unit is unknown, or of another dimension than its key.
+    """
+
+    def converted(value: Any, unit: str, key: str) -> Any:
+        return [converted(one, unit, key) for one in value] if isinstance(value, list | tuple) else in_unit(value, unit, key)
+
+    return {key: converted(value, UNITS[key], key) if key in UNITS else value for key, value in table.items()}
+
+
 def _names(over: Argument) -> tuple[str, ...]:
     """Returns the possible names of a table's argument; a spring's or a stop's deflection is minus its compression."""
     return (over.name, COMPRESSION) if over is DEFLECTION else (over.name,)
@@ -117,9 +137,9 @@ def curve_of(entry: Any, over: Argument, load: Callable[[], float | None] = lamb
     Raises:
         InputError: the entry is not a curve, or not one that a suspension can have.
     """
-    entries = entry if isinstance(entry, list) else [entry]
-    slopes = [number_within("a slope", one, 0.0, MOST_SLOPE) for one in entries if is_finite(one) and entries is entry]
-    tables = [_table(one, over) for one in entries if not is_finite(one) or entries is not entry]
+    entries = [in_unit(one, over.slope, "a slope") for one in entry] if isinstance(entry, list) else [entry]
+    slopes = [number_within("a slope", one, 0.0, MOST_SLOPE) for one in entries if is_finite(one) and isinstance(entry, list)]
+    tables = [_table(one, over) for one in entries if not is_finite(one) or not isinstance(entry, list)]
     if not tables:
         raise InputError(f"has {len(slopes)} numbers and no table; give their sum in [parameters]")
     # The one with preload = true carries what the others leave.
@@ -166,7 +186,7 @@ def _table(entry: Any, over: Argument) -> Mapping[str, Any]:
     for key in (found[0] if found else over.name, "force"):
         if key not in entry:
             raise InputError(f"{key} is missing; give {what}")
-    return entry
+    return in_si(entry)
 
 
 def _part(entry: Mapping[str, Any], over: Argument, preload: float, alone: bool) -> tuple[Array, Array, float]:
@@ -330,7 +350,7 @@ def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 def _surface(entry: Mapping[str, Any]) -> ForceSurface:
     """Returns a damper's force over velocity and deflection from its table."""
-    over = (VELOCITY, DEFLECTION)
+    entry, over = in_si(entry), (VELOCITY, DEFLECTION)
     names = [*(one.name for one in over), "force"]
     check_keys("", entry, names)
     if absent := [name for name in names if name not in entry]:

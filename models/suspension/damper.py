@@ -25,13 +25,13 @@ h is a velocity that bends as the curves do, with slope 1 at rest; for straight 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, number_within
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, listing
+from models.common.schema import HERE, SI, SMALLEST, Choice, Key, Section, read
 from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
@@ -123,8 +123,6 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Pair:
 
 KINDS = ("force", "damper")
 CURVED = ("c_min", "c_max")  # keys whose values may be tables
-KEYS = ("kind", *CURVED, "bandwidth")
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; numbers beyond these are mistakes
 
 
 @dataclass(frozen=True)
@@ -151,6 +149,68 @@ class Damper:
         return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
+@dataclass(frozen=True)
+class Coefficient(Key):
+    """A coefficient of a damper, or the table of its force over velocity."""
+
+    meaning: str
+    low: float = SMALLEST
+    unit: str = "N s/m"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> "float | ForceCurve":
+        """Returns the coefficient, or the curve."""
+        if not isinstance(value, Mapping):
+            return SI(self.unit, low=self.low).number(HERE, value)
+        with error_in(f"{HERE}:"):
+            return curve_of(value, VELOCITY)
+
+
+@dataclass(frozen=True)
+class ActuatorSection(Section):
+    """`[actuators]` of a vehicle file, with the keys of all suspensions, or of one."""
+
+    kind: Annotated[str, Choice("`force` for actuators that push, `damper` for semi-active dampers", KINDS)] = KINDS[0]
+    c_min: Annotated[Any, Coefficient("coefficient at the softest setting, or the table of its force", 0.0)] = None
+    c_max: Annotated[Any, Coefficient("coefficient at the firmest setting, or the table of its force")] = None
+    bandwidth: Annotated[float, SI("rad/s", "corner frequency of the valve, a first-order lag of the coefficient")] | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in (*CURVED, "bandwidth") if getattr(self, name) is not None]
+        if self.kind == KINDS[0]:
+            if given:
+                raise InputError(
+                    f'has {given[0]} without kind = "damper"; add kind = "damper", or, for force actuators, give '
+                    "actuator_force and actuator_bandwidth in [limits]"
+                )
+            return
+        if absent := [name for name in CURVED if name not in given]:
+            raise InputError(f"{absent[0]} is missing; give c_min and c_max of the semi-active damper in N s/m")
+        tables = [name for name in CURVED if isinstance(getattr(self, name), ForceCurve)]
+        if len(tables) == 1:
+            (other,) = {*CURVED} - {*tables}
+            raise InputError(f"{tables[0]} is a curve, but {other} is a number; give two curves, or two numbers in N s/m")
+        if not tables and not self.c_min < self.c_max:
+            raise InputError(
+                f"c_min = {self.c_min:g} N s/m is not below c_max = {self.c_max:g} N s/m; give a smaller c_min, or a larger c_max"
+            )
+
+    @property
+    def damper(self) -> Damper | None:
+        """The damper; None for an actuator that pushes.
+
+        Raises:
+            InputError: no damper has such curves.
+        """
+        if self.kind == KINDS[0]:
+            return None
+        if not isinstance(self.c_min, ForceCurve):
+            return Damper(self.c_min, self.c_max, self.bandwidth)
+        pair = pair_of(self.c_min, self.c_max)
+        for name, low in (("c_min", 0.0), ("c_max", SMALLEST)):
+            SI("N s/m", low=low).number(name, getattr(self, name).slope)
+        return Damper(self.c_min.slope, self.c_max.slope, self.bandwidth, None if pair.straight else pair)
+
+
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
     """Reads `[actuators]`: the adjustable dampers, by the force that each replaces.
 
@@ -164,78 +224,25 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """
     endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
     single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
-    for name in section:
-        if name in single and name not in endings:
-            known = f"give one of {listing(endings)}" if endings else "omit the section, as there is only one suspension"
-            raise InputError(f"[actuators.{name}] is not a suspension of this vehicle; {known}")
-        if name not in single and name not in KEYS:
-            raise InputError(f"[actuators] unknown key {name!r}; known keys: {listing((*KEYS, *endings))}")
+    if unknown := [name for name in single if name not in endings]:
+        known = f"give one of {listing(endings)}" if endings else "omit the section, as there is only one suspension"
+        raise InputError(f"[actuators.{unknown[0]}] is not a suspension of this vehicle; {known}")
     common = {name: value for name, value in section.items() if name not in single}
-    own = {endings[name]: (f"[actuators.{name}]", value) for name, value in single.items()}
-    for where, value in own.values():
-        check_keys(where, value, KEYS)
-    by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
-    if not by_force and section:
+    if not corners and section:
         raise InputError("[actuators]: no suspension of this vehicle type has an actuator; omit the section")
-    dampers = {force: damper for force, damper in by_force.items() if damper is not None}
+    dampers = {}
+    for force, ending in corners.items():
+        own = single.get(ending.removeprefix("_")) if ending else None
+        where = "[actuators]" if own is None else f"[actuators{ending.replace('_', '.', 1)}]"
+        usual = {} if own and own.get("kind") == KINDS[0] else common
+        given = read(where, ActuatorSection, {**usual, **(own or {})})
+        with error_in(f"{where}:"):
+            damper = given.damper
+        if damper is not None:
+            dampers[force] = damper
     if dampers and limited:
         raise InputError(
             f"[limits] {limited[0]} is for force actuators, but [actuators] has semi-active dampers; omit {limited[0]}, or give "
             'actuators = "force" in the sections of controllers that use force actuators'
         )
     return dampers
-
-
-def _merged(common: Mapping[str, Any], own: tuple[str, Mapping[str, Any]] | None) -> tuple[str, dict[str, Any]]:
-    """Returns the name of an actuator's section, for messages, and all its keys."""
-    if own is None:
-        return "[actuators]", dict(common)
-    where, section = own
-    usual = {} if section.get("kind") == KINDS[0] else common
-    return where, {**usual, **section}
-
-
-def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
-    kind = given.get("kind", KINDS[0])
-    if kind not in KINDS:
-        raise InputError(f"{where} kind = {quoted(kind)} is unknown; give one of {listing(KINDS)}")
-    numbers = {name: given[name] for name in KEYS[1:] if name in given}
-    if kind == KINDS[0]:
-        if numbers:
-            raise InputError(
-                f'{where} has {next(iter(numbers))} without kind = "damper"; add kind = "damper", or, for force actuators, give '
-                "actuator_force and actuator_bandwidth in [limits]"
-            )
-        return None
-    if absent := [name for name in CURVED if name not in numbers]:
-        raise InputError(f"{where} {absent[0]} is missing; give c_min and c_max of the semi-active damper in N s/m")
-    pair = _pair(where, numbers)
-    if pair is not None:
-        numbers |= {"c_min": pair.soft.slope, "c_max": pair.hard.slope}
-    for name, value in numbers.items():
-        smallest, unit = (0.0, "N s/m") if name == "c_min" else (SMALLEST, "rad/s" if name == "bandwidth" else "N s/m")
-        number_within(f"{where} {name}", value, smallest, LARGEST, unit)
-    if not numbers["c_min"] < numbers["c_max"]:
-        raise InputError(
-            f"{where} c_min = {numbers['c_min']:g} N s/m is not below c_max = {numbers['c_max']:g} N s/m; give a smaller "
-            "c_min, or a larger c_max"
-        )
-    bandwidth = float(numbers["bandwidth"]) if "bandwidth" in numbers else None
-    bent = pair if pair is not None and not pair.straight else None
-    return Damper(float(numbers["c_min"]), float(numbers["c_max"]), bandwidth, bent)
-
-
-def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
-    """Returns the curves of both limits, or None if the limits are numbers."""
-    tables = [name for name in CURVED if isinstance(given[name], Mapping)]
-    if len(tables) == 1:
-        (other,) = {*CURVED} - {*tables}
-        raise InputError(f"{where} {tables[0]} is a curve, but {other} is a number; give two curves, or two numbers in N s/m")
-    if not tables:
-        return None
-    curves = []
-    for name in tables:
-        with error_in(f"{where} {name}:"):
-            curves.append(curve_of(given[name], VELOCITY))
-    with error_in(f"{where}:"):
-        return pair_of(*curves)

@@ -26,7 +26,7 @@ from models.suspension import RATIO
 from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.curve_lines import lines_from_rest
-from models.suspension.curve_reading import DEFLECTION, MOST_LINES, points
+from models.suspension.curve_reading import DEFLECTION, MOST_LINES, in_si, points
 from models.suspension.surface import ForceSurface, surface_of
 
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
@@ -210,7 +210,7 @@ def ratio_table(entry: Any, check: Callable[[float], object]) -> RatioTable:
     if not isinstance(entry, Mapping) or {DEFLECTION.name, RATIO} - {*entry}:
         raise InputError(f"{quoted(entry)} is not a motion ratio over travel; give {what}")
     check_keys("", entry, (DEFLECTION.name, RATIO))
-    x, ratio = points(entry, DEFLECTION, RATIO)
+    x, ratio = points(in_si(entry), DEFLECTION, RATIO)
     if not x[0] < 0 < x[-1]:
         raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
     for one in ratio.tolist():

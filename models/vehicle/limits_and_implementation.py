@@ -2,31 +2,30 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
-from models.common.checks import check_keys, table_within
-from models.common.errors import InputError, alike, listing, quoted
+from models.common.checks import is_finite
+from models.common.errors import InputError, quoted
 from models.common.printed import rough
-from models.kinds.kind import Parameter
+from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, Key, Section, read
+from models.common.units import in_unit
 from models.suspension import STOP_KEYS, STOP_NAMES
+from models.suspension.bump_stops import Place, StopSection, read_places
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Place, Stiffness, StopPair, Stops
-
-LIMITS = (
-    Parameter("actuator_force", "N", "largest force of every actuator, in both directions"),
-    Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator's first-order lag"),
-)
+    from models.suspension.bump_stops import Stiffness, StopPair, Stops
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
 
-IMPLEMENTATION_KEYS = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
 LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 50  # sample periods; each is a state of the sampled loop
-MOST_SEED = 100_000
+NO_PERIOD = (
+    "has sampled = true, but [implementation] gives no sample period; give it in seconds, as in sample_period = 0.01, or omit "
+    "sampled"
+)
 
 
 @dataclass(frozen=True)
@@ -158,24 +157,34 @@ def delay_text(delay: float) -> str:
 
 
 @dataclass(frozen=True)
-class Implementation:
-    """Implementation of the controller: sampling, delay, noise and quantisation.
+class Samples(Key):
+    """Delay in samples of the controller, as an int if it is an integer."""
 
-    Attributes:
-        sample_period: sample period of the controller [s], a multiple of the timestep; None for the timestep itself.
-        delay: delay from a measurement to the force computed from it, in samples of the controller; an int if it is an integer.
-        noise: rms of the white noise on a measured signal, by signal, in its unit.
-        quantisation: resolution of a measured signal, by signal, in its unit.
-        seed: seed of the noise.
-    """
+    meaning: str = "delay from a measurement to the force computed from it, in samples, or as a time"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> float:
+        """Returns the number of samples."""
+        if not is_finite(value) or not 0 <= value <= MOST_DELAY:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
+        return int(value) if value == int(value) else value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the delay."""
+        return SI("s", low=0, high=MOST_DELAY).json
+
+
+@dataclass(frozen=True)
+class Implementation(Section):
+    """Implementation of the controller: sampling, delay, noise and quantisation."""
 
     given_as = "an implementation, such as vehicle.implementation"
 
-    sample_period: float | None = None
-    delay: float = 0
-    noise: Mapping[str, float] = field(default_factory=dict)
-    quantisation: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
+    sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
+    delay: Annotated[float, Samples()] = 0
+    noise: Annotated[Mapping[str, float], BySignal("rms of the white noise on measured signals")] = field(default_factory=dict)
+    quantisation: Annotated[Mapping[str, float], BySignal("resolution of measured signals")] = field(default_factory=dict)
+    seed: Annotated[int, Integer("seed of the noise")] = 0
 
     @property
     def ideal(self) -> bool:
@@ -233,63 +242,69 @@ class Implementation:
         return tuple(phrases)
 
 
+@dataclass(frozen=True)
+class LimitsSection(StopSection):
+    """`[limits]` of a vehicle file, without the sections of corners."""
+
+    actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
+    actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
+    limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.limit is not None and self.actuator_force is None:
+            raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
+
+
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
     """Reads `[limits]`.
 
     Raises:
         InputError: a key or section is unknown, a value is not allowed, or only one of stroke and stiffness is given.
     """
-    of_actuators = {parameter.name: parameter for parameter in LIMITS}
-    for name, value in section.items():
-        if name not in (*of_actuators, "limit", *STOP_NAMES) and not isinstance(value, Mapping):
-            raise InputError(f"[limits] unknown key {name!r}; known keys: {listing((*STOP_NAMES, *of_actuators, 'limit'))}")
-    if (limit := section.get("limit")) is not None:
-        if limit not in ORDERS:
-            raise InputError(f"[limits] limit = {quoted(limit)} is not allowed; give {' or '.join(map(repr, ORDERS))}")
-        if "actuator_force" not in section:
-            raise InputError(f"[limits] has limit = {limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
-    of_stops = {name: value for name, value in section.items() if name not in (*of_actuators, "limit")}
-    limits = Limits()
-    if of_stops:
-        from models.suspension.bump_stops import read_places
-
-        common, *places = read_places(of_stops, [part.corner for part in suspensions])
-        limits = Limits(common.suspension_stroke, common.stop_stiffness, places=tuple(places))
-    given = {name: part.check(section[name]) for name, part in of_actuators.items() if name in section}
-    return replace(limits, **given, limit=limit)
+    own = {name: one for name, one in section.items() if isinstance(one, Mapping) and name not in STOP_NAMES}
+    common = read("[limits]", LimitsSection, {name: one for name, one in section.items() if name not in own})
+    places, corners = (common.place(""),), [part.corner for part in suspensions]
+    if own or places[0] != Place(""):
+        if not corners:
+            raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
+        places = read_places(common, own, corners)
+    of_all, *places = places
+    actuators = common.actuator_force, common.actuator_bandwidth, common.limit
+    return Limits(of_all.suspension_stroke, of_all.stop_stiffness, *actuators, tuple(places))
 
 
-def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:
-    """Reads `[implementation]`.
+@dataclass(frozen=True)
+class ImplementationSection(Implementation):
+    """`[implementation]` of a vehicle file."""
 
-    Args:
-        measurable: the signals that a controller of this vehicle can measure.
+    sampled: Annotated[bool, Flag("design for the sampled-data loop, unless a controller's section sets another value")] = False
 
-    Raises:
-        InputError: a key or signal is unknown, or a value is not allowed.
-    """
-    check_keys("[implementation]", section, IMPLEMENTATION_KEYS)
-    values_by_key: dict[str, Any] = {}
-    if "sample_period" in section:
-        period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
-        values_by_key["sample_period"] = period
-    for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "integer")):
-        value = section.get(name, 0)
-        if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
-            raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
-        values_by_key[name] = int(value) if value == int(value) else value
-    for name in ("noise", "quantisation"):
-        values = table_within(f"[implementation] {name}", section.get(name, {}), f"a table, as in {name} = {{ signal = value }}")
-        for signal in values:
-            if signal not in measurable:
-                raise InputError(
-                    f"[implementation] {name}: unknown signal {quoted(signal)}; measurable are {alike(signal, measurable)}"
-                )
-        values_by_key[name] = {
-            signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
-            for signal, value in values.items()
-        }
-    return Implementation(**values_by_key)
+    def __post_init__(self) -> None:
+        if self.sampled and self.sample_period is None:
+            raise InputError(NO_PERIOD)
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the section with a delay in samples instead of a time."""
+        delay, period = given.get("delay"), given.get("sample_period")
+        seconds = in_unit(delay, "s", "delay")
+        if seconds is delay:
+            return given
+        period = in_unit(period, "s", "sample_period")
+        if not is_finite(period) or not period > 0:
+            raise InputError(
+                f"delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
+                'sample_period = "5 ms", or give delay as a number of samples'
+            )
+        return {**given, "delay": round(seconds / period, 9)}
+
+    @property
+    def implementation(self) -> Implementation:
+        """The implementation that it describes."""
+        return Implementation(*(getattr(self, one.name) for one in fields(Implementation)))
 
 
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:

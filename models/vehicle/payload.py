@@ -10,14 +10,14 @@ ratio over travel is then about that rest.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from models.common.checks import number_within
-from models.common.errors import InputError, error_in, listing
-from models.kinds.kind import GRAVITY, Parameter, VehicleKind
+from models.common.errors import InputError, error_in
+from models.common.schema import SI, Section, read
+from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
 from models.suspension.bump_stops import SIDES, Place, StopPair
@@ -26,9 +26,19 @@ from models.suspension.surface import ForceSurface
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")
-KEYS = ("mass", *PLACE)
-FARTHEST = 20.0  # m
-MASS = Parameter("mass", "kg", "of a payload", largest=1e5)
+
+
+@dataclass(frozen=True)
+class PayloadSection(Section):
+    """A point mass on the body."""
+
+    hints: ClassVar[Mapping[str, str]] = {
+        "y": "is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
+    }
+
+    mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
+    x: Annotated[float, SI("m", "position of the point mass, forward of the unladen body's centre of mass", -20.0, 20.0)] = 0.0
+    z: Annotated[float, SI("m", "height of the point mass above the unladen body's centre of mass", -20.0, 20.0)] = 0.0
 
 
 def laden(
@@ -50,8 +60,10 @@ def laden(
             "[payload], and give the curve, mass and inertias of the laden car"
         )
     for where, given in named.items():
-        mass, place = _read(where, given, model)
-        x, z = (place[axis] - shift[axis] for axis in PLACE)
+        payload = read(where, PayloadSection, given)
+        if (moved := next((key for key in PLACE if getattr(payload, key)), "")) and PITCH_LOAD.name not in model.loads:
+            raise InputError(f"{where} {moved} has no effect, because this vehicle does not pitch; omit {moved}")
+        mass, x, z = payload.mass, payload.x - shift["x"], payload.z - shift["z"]
         whole = heavier["sprung_mass"] + mass
         reduced = heavier["sprung_mass"] * mass / whole
         heavier["sprung_mass"] = whole
@@ -61,7 +73,7 @@ def laden(
         for axis, part in (("x", x), ("z", z)):
             shift[axis] += mass / whole * part
         load[HEAVE_LOAD.name] -= mass * GRAVITY
-        load[PITCH_LOAD.name] += mass * GRAVITY * place["x"]
+        load[PITCH_LOAD.name] += mass * GRAVITY * payload.x
     for name, moved in (("axle_distance_front", -shift["x"]), ("axle_distance_rear", shift["x"]), ("centre_height", shift["z"])):
         if name in heavier:
             heavier[name] += moved
@@ -78,26 +90,6 @@ def laden(
     with error_in("[payload]: with this payload,"):
         checked = laden_kind.check(heavier)
     return checked, _sunk(kind, model, load, limits, parameters, sunk), laden_kind
-
-
-def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[float, dict[str, float]]:
-    """Returns mass and place of a payload."""
-    for key, value in given.items():
-        if key == "y":
-            raise InputError(
-                f"{where} y is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
-            )
-        if key not in KEYS:
-            raise InputError(f"{where} unknown key {key!r}; known keys: {listing(KEYS)}")
-        if key in PLACE:
-            number_within(f"{where} {key}", value, -FARTHEST, FARTHEST, "m")
-        if key in PLACE and value and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {key} has no effect, because this vehicle does not pitch; omit {key}")
-    if "mass" not in given:
-        raise InputError(f"{where} mass is missing; give mass in kg")
-    with error_in(where):
-        mass = MASS.check(given["mass"])
-    return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
 
 
 def _sunk(

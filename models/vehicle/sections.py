@@ -514,8 +514,7 @@ def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any)
     """
     value = flag_within(where, entry, "sampled", usual)
     if value and period is None:
-        raise InputError(
-            f"{where} has sampled = true, but [implementation] gives no sample period; give it in seconds, as in "
-            "sample_period = 0.01, or omit sampled"
-        )
+        from models.vehicle.limits_and_implementation import NO_PERIOD
+
+        raise InputError(f"{where} {NO_PERIOD}")
     return value

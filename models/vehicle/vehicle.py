@@ -15,6 +15,7 @@ from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
+from models.common.schema import read
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
@@ -24,9 +25,9 @@ from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
+    ImplementationSection,
     Limits,
     check_period,
-    read_implementation,
     read_limits,
 )
 from models.vehicle.names import WITHOUT
@@ -39,7 +40,6 @@ from models.vehicle.sections import (
     known_quantities,
     ratio_doubts,
     read_performance,
-    read_sampled,
     read_sums,
     road_files,
     settled,
@@ -644,8 +644,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
     parameters, limits, vehicle_kind = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
-    implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    sampled = read_sampled("[implementation]", data.get("implementation", {}), False, implementation.sample_period)
+    given = read(
+        "[implementation]", ImplementationSection, data.get("implementation", {}), signals=vehicle_kind.units_of(model.measurable)
+    )
+    implementation, sampled = given.implementation, given.sampled
     section = data.get("controllers", {})
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}

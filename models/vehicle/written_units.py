@@ -3,20 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from models.common.errors import InputError, quoted
 from models.common.units import in_unit
 from models.kinds.kind import VehicleKind
 from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
-from models.suspension import STOP
 
-# Of a table the unit of each key, "*" of all other keys, "" of a number in the table's place; of a list one unit, or one each.
-STOPS = {"suspension_stroke": "m", **dict.fromkeys(("stop_stiffness", STOP), ("N/m", "N/m2", "N/m3"))}
-LIMITS = {**STOPS, "actuator_force": "N", "actuator_bandwidth": "rad/s", "*": STOPS}
-POINTS = {"velocity": "m/s", "deflection": "m", "compression": "m", "force": "N", "fit_error": "1"}
-CURVE = {**POINTS, "ratio": "1", "preload": "N", "friction": "N", "friction_velocity": "m/s"}
-LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
-DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
-PAYLOAD = {"mass": "kg", "x": "m", "z": "m"}
 SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
@@ -43,17 +33,9 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     }  # fmt: skip
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
-        "limits": LIMITS,
-        "implementation": {"sample_period": "s", "noise": signals, "quantisation": signals},
-        "curves": {parameter.name: {"": parameter.unit, **CURVE} for parameter in kind.parameters},
-        "actuators": {**DAMPER, "*": DAMPER},
-        "payload": {**PAYLOAD, "*": PAYLOAD},
         "controllers": {"*": controller},
     }
-    converted = {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
-    if isinstance((implementation := converted.get("implementation")), dict):
-        converted["implementation"] = _with_delay(implementation)
-    return converted
+    return {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
 
 
 def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
@@ -65,24 +47,9 @@ def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
     """
     units = units(value) if callable(units) and not isinstance(value, list) else units
     if isinstance(value, Mapping):
-        each = units if isinstance(units, Mapping) else {"*": units, **(POINTS if isinstance(units, tuple) else {})}
+        each = units if isinstance(units, Mapping) else {"*": units}
         return {key: _in_si(one, each.get(key, each.get("*")), (*path, key)) for key, one in value.items()}
     if isinstance(value, list):
-        several = units if isinstance(units, tuple) and len(units) >= len(value) else [units] * len(value)
-        return [_in_si(one, unit, path) for one, unit in zip(value, several, strict=False)]
-    unit = units.get("") if isinstance(units, Mapping) else units[0] if isinstance(units, tuple) else units
+        return [_in_si(one, units, path) for one in value]
+    unit = None if isinstance(units, Mapping) else units
     return value if unit is None else in_unit(value, unit, f"[{'.'.join(path[:-1])}] {path[-1]}")
-
-
-def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
-    """Returns `[implementation]` with a delay in samples instead of one with a unit of time."""
-    delay, period = section.get("delay"), section.get("sample_period")
-    seconds = in_unit(delay, "s", "[implementation] delay")
-    if seconds is delay:
-        return section
-    if isinstance(period, bool) or not isinstance(period, (int, float)) or not period > 0:
-        raise InputError(
-            f"[implementation] delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
-            'sample_period = "5 ms", or give delay as a number of samples'
-        )
-    return {**section, "delay": round(seconds / period, 9)}

@@ -11,20 +11,47 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, check, check_keys
 from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, path_from, read_text
+from models.common.schema import SI, AnyTable, Integer, Key, Listed, Section, read
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle.vehicle import Vehicle, read_vehicle
-from sim.campaign.samples import Values, read_count, read_number, read_samples
+from sim.campaign import MOST_RUNS
+from sim.campaign.samples import Values, read_samples
 from sim.runs.run import sample_times
 
-KEYS = ("vehicles", "controllers", "roads", "speeds", "seeds", "duration", "settle", "timestep", "samples")
-TEXTS = Annotated[tuple[str, ...], AT_LEAST_ONE]
-NUMBERS = Annotated[tuple[str | float, ...], AT_LEAST_ONE]  # with their units, or without
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
+Texts = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Seeds(Key):
+    """Seeds of random roads."""
+
+    meaning: str = "seeds of the random roads, or their number; other roads run once"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
+        """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
+        if not isinstance(value, list) or not value:
+            return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
+        return tuple(check_seed(seed) for seed in value)
+
+
+@dataclass(frozen=True)
+class CampaignFile(Section):
+    """The keys of a campaign file."""
+
+    vehicles: Annotated[Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles")]
+    controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all")]
+    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them")]
+    speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0))]
+    seeds: Annotated[tuple[int, ...], Seeds()] = (0,)
+    duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
+    settle: Annotated[float, SI("s", "beginning of a run over a random road that is not measured", 0.0, 1e6)] | None = None
+    timestep: Annotated[float, SI("s", "timestep of the simulation", 0.0, 1.0)] = 1e-3
+    samples: Annotated[Mapping[str, Any], AnyTable("section with distributions of parameters, `[samples]`")] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,55 +130,37 @@ def parse_campaign(text: str, path: Path) -> Campaign:
 
 def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
-    check_keys("", data, KEYS)
-    names = _listed(data, "vehicles", TEXTS)
-    vehicles = {name: remarked(read_vehicle(file if (file := path_from(name, folder)).is_file() else name)) for name in names}
-    _check_once("vehicles", names, [Path(vehicles[name].source).resolve() for name in names])
-    controllers = tuple(unicodedata.normalize("NFC", name) for name in _listed(data, "controllers", TEXTS))
+    given = read("", CampaignFile, data)
+    files = {name: path_from(name, folder) for name in given.vehicles}
+    vehicles = {name: remarked(read_vehicle(file if file.is_file() else name)) for name, file in files.items()}
+    _check_once("vehicles", given.vehicles, [Path(vehicles[name].source).resolve() for name in given.vehicles])
+    controllers = tuple(unicodedata.normalize("NFC", name) for name in given.controllers)
     _check_once("controllers", controllers, controllers)
     for name, vehicle in vehicles.items():
         for controller in controllers:
             if controller not in vehicle.controller_names:
                 raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
     vehicles = {name: vehicle.for_all(controllers) for name, vehicle in vehicles.items()}
-    roads = tuple(choose_road(road, folder) for road in _listed(data, "roads", TEXTS))
+    roads = tuple(choose_road(road, folder) for road in given.roads)
     a_vehicle = next(iter(vehicles.values()))
-    _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])
-    written = _listed(data, "speeds", NUMBERS)
-    speeds = tuple(read_number(speed, "speeds", 0.1, 200.0, "m/s") for speed in written)
-    _check_once("speeds", written, speeds)
-    duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6, "s"), data.get("timestep", 1e-3)
-    timestep = read_number(timestep, "timestep", 0.0, 1.0, "s")
+    _check_once("roads", given.roads, [_what_it_is(road, a_vehicle) for road in roads])
+    _check_once("speeds", data["speeds"], given.speeds)
+    if isinstance(data.get("seeds"), list):
+        _check_once("seeds", data["seeds"], given.seeds)
+    duration, timestep = given.duration, given.timestep
     for name, vehicle in vehicles.items():
         with error_in(f"vehicle {name!r}:"):
             sample_times(vehicle, duration, timestep)
-    settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
+    settle = min(SETTLE, duration / 2) if given.settle is None else given.settle
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s is too long for runs of {duration:g} s; give at most half of the duration")
-    drawn = read_samples(data.get("samples"), vehicles, controllers)
-    campaign = Campaign(vehicles, controllers, roads, speeds, _seeds(data), duration, settle, timestep, *drawn, text)
-    for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, speeds):
+    drawn = read_samples(given.samples, vehicles, controllers)
+    campaign = Campaign(vehicles, controllers, roads, given.speeds, given.seeds, duration, settle, timestep, *drawn, text)
+    for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, given.speeds):
         built = remarked(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     return campaign
-
-
-def _seeds(data: Mapping[str, Any]) -> tuple[int, ...]:
-    """A list of seeds, or how many: 0, 1, ..."""
-    seeds = data.get("seeds", 1)
-    if not isinstance(seeds, list) or not seeds:
-        return tuple(range(read_count(seeds, "seeds", ", or a list of seeds")))
-    checked = tuple(check_seed(seed) for seed in seeds)
-    _check_once("seeds", seeds, checked)
-    return checked
-
-
-def _listed(data: Mapping[str, Any], key: str, annotation: Any) -> tuple[Any, ...]:
-    """Returns a list of the file, which has at least one value."""
-    if key not in data:
-        raise InputError(f"the key {key!r} is missing, so the campaign has no runs; give a list")
-    return check(key, data[key], annotation)
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:

@@ -8,29 +8,38 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys, number_within, table_within
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.units import in_unit
-from models.roads.iso8608 import check_seed
+from models.common.schema import SI, AnyTable, Choice, Integer, Section, read
+from models.roads.iso8608 import MOST_SEED
 from models.suspension.adjustable_dampers import Adjustable
-from models.suspension.damper import CURVED, LARGEST
+from models.suspension.damper import CURVED
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values
 
-DRAWN = ("parameters", "controllers")
-SAMPLES = ("count", "variants", "method", "seed", *DRAWN)
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
 OF_DAMPERS = (*CURVED, "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 
 Values = Mapping[str, float]  # drawn, by name
+
+
+@dataclass(frozen=True)
+class SamplesSection(Section):
+    """`[samples]` of a campaign file."""
+
+    count: Annotated[int, Integer("number of samples of every vehicle", 1, MOST_RUNS)]
+    variants: Annotated[int, Integer("number of variants of every law; default: count", 1, MOST_RUNS)] | None = None
+    method: Annotated[str, Choice("method of drawing", METHODS)] = METHODS[0]
+    seed: Annotated[int, Integer("seed of samples and variants", high=MOST_SEED)] = 0
+    parameters: Annotated[Mapping[str, Any], AnyTable("distributions of parameters of the vehicles")] | None = None
+    controllers: Annotated[Mapping[str, Any], AnyTable("distributions of the keys of laws, by controller")] | None = None
 
 
 @dataclass(frozen=True)
@@ -98,21 +107,17 @@ def read_samples(
     of_laws: dict[str, dict[str, tuple[Values, ...]]] = {name: {} for name in vehicles}
     if section is None:
         return of_vehicles, of_laws, 0
-    check_keys("[samples]", table_within("samples", section, "a section [samples]"), SAMPLES)
-    count, method = read_count(section.get("count"), "[samples] count"), section.get("method", "latin_hypercube")
-    if method not in METHODS:
-        raise InputError(f"[samples] method = {quoted(method)} is unknown; give one of {listing(METHODS)}")
-    drawn = [key for key in DRAWN if key in section]
-    if not drawn or not all(isinstance(section[key], dict) and section[key] for key in drawn):
+    given = read("[samples]", SamplesSection, section)
+    if not (given.parameters or given.controllers) or given.parameters == {} or given.controllers == {}:
         raise InputError(
             "[samples] lists nothing to sample; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
             "[samples.controllers.NAME] with keys of the law of controller NAME"
         )
-    sampler = Sampler(count, method, check_seed(section.get("seed", 0)))
-    for name in vehicles if "parameters" in section else ():
-        of_vehicles[name] = _vehicle_samples(section["parameters"], name, vehicles[name], sampler)
-    sampler = replace(sampler, count=read_count(section.get("variants", count), "[samples] variants"))
-    for written, table in section.get("controllers", {}).items():
+    sampler = Sampler(given.count, given.method, given.seed)
+    for name in vehicles if given.parameters else ():
+        of_vehicles[name] = _vehicle_samples(given.parameters or {}, name, vehicles[name], sampler)
+    sampler = replace(sampler, count=given.count if given.variants is None else given.variants)
+    for written, table in (given.controllers or {}).items():
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
@@ -132,7 +137,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
         if key in parameters:
             parameters[key].check(value)
         else:
-            read_number(value, key, 0.0, LARGEST)
+            SI("", low=0.0).number(key, value)
 
     units = {key: parameter.unit for key, parameter in parameters.items()}
     samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)
@@ -164,7 +169,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     values = entry[shapes[0]] if len(shapes) == 1 and shapes[0] in DISTRIBUTIONS else None
     if not isinstance(values, list) or len(values) != 2:
         raise InputError(f"{where} = {quoted(entry)} is not a distribution; {give}")
-    a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, "" if relative else unit) for value in values)
+    a, b = (SI("" if relative else unit, low=-1e12, high=1e12).number(f"{where}: {shapes[0]}", value) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] has no width; give low < high, or a standard deviation above 0")
     from scipy import stats  # half a second
@@ -185,26 +190,6 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])
         quantities |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}
     return {name: (value, forces) for name, (value, forces) in quantities.items() if value is not None}
-
-
-def read_number(value: Any, where: str, smallest: float, largest: float, unit: str = "") -> float:
-    """Reads a number of a campaign file, within limits.
-
-    Raises:
-        InputError: the value is not a number, or beyond them.
-    """
-    return number_within(where, in_unit(value, unit, where), smallest, largest, unit)
-
-
-def read_count(value: Any, where: str, more: str = "") -> int:
-    """Reads how many of something there are in a campaign; `more` ends the message.
-
-    Raises:
-        InputError: the value is not an integer, or makes no runs or too many.
-    """
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_RUNS:
-        raise InputError(f"{where} = {quoted(value)} is not allowed; give an integer from 1 to {MOST_RUNS}{more}")
-    return value
 
 
 def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:

@@ -111,10 +111,12 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
     small = {name: one for name, one in margins.items() if one.small and name not in grow}
     pairs = by_text((name, one.pair) for name, one in small.items())
-    below = f"Small stability margins of the ideal loop (gain/disk): {'; '.join(f'{names} {pair}' for pair, names in pairs.items())}"
+    listed = "; ".join(f"{names} {pair}" for pair, names in pairs.items())
+    below = f"Small stability margins of the ideal loop (gain/disk): {listed}"
     if len(pairs) > MANY:
         disks = sorted((one.disk or 0.0, name) for name, one in small.items())
-        below = f"Small disk margins: {', '.join(f'{as_name(name)} {disk:#.2g}' for disk, name in disks[:MANY])}, {len(disks) - MANY} more"
+        some = ", ".join(f"{as_name(name)} {disk:#.2g}" for disk, name in disks[:MANY])
+        below = f"Small disk margins: {some}, {len(disks) - MANY} more"
     texts = [f"Control laws that are unstable by themselves{''.join(clipped)}: {rates}"] if grow else []
     return [*texts, *([below] if small else [])]
 

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.quadrature import sample_band
 from models.common.threads import one_thread
 from models.laws.filter import WEIGHTINGS, Filter
 from models.roads.iso8608 import Iso8608
@@ -26,6 +25,7 @@ from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous, readings_of_road
+from synth.plant.quadrature import sample_band
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
 METHOD = "statistical linearisation"  # of a vehicle with curves

@@ -17,7 +17,7 @@ from models.roads.load import LOADS
 from models.suspension.bump_stops import TABLE_KEYS
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped
-from sim.campaign.samples import DISTRIBUTIONS, METHODS, SAMPLES
+from sim.campaign.samples import DISTRIBUTIONS, METHODS
 from tests import same_numbers
 from tests.same_numbers import RULER, Answer, compare, lines_of
 
@@ -28,7 +28,7 @@ MORE = {  # keys within the values of documented ones
     "[performance]": {"sum"},
     "[limits]": {*TABLE_KEYS, "bump", "rebound"},
     "[curves]": {"ratio"},
-    "a campaign file": {*SAMPLES, *DISTRIBUTIONS, "relative"},
+    "[samples] of a campaign file": {*DISTRIBUTIONS, "relative"},
 }
 TEXT = "\n".join(lines_of(RULER / "commands.txt"))
 WRITTEN = {"saved.toml", "ecu"}  # by a command
@@ -68,7 +68,7 @@ def test_every_key_is_used(cars, campaigns):
         used[f"[parameters] of a {name}"] = {*chain(*(chain(file["parameters"], file.get("curves", ())) for file in mine))}
     used["[controllers.NAME]"] = used["semi-active laws"] = keys(values).union(*laws)
     used["bounds of a controller"] = keys([law.get("bounds") for law in laws])
-    used["a campaign file"] = keys(campaigns)
+    used["a campaign file"] = used["[samples] of a campaign file"] = keys(campaigns)
     documented = {section: {key for key, _, _ in rows} | MORE.get(section, set()) for section, rows in key_sections().items()}
     missing = {section: sorted(every - used[section] - OF_FMUS) for section, every in documented.items()}
     assert {section: some for section, some in missing.items() if some} == {}

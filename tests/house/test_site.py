@@ -13,8 +13,9 @@ import pytest
 
 from docs import generate
 from models.common.errors import InputError
+from models.common.schema import keys
 from models.vehicle.controllers import CONTROLLER_KEYS
-from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS
+from models.vehicle.limits_and_implementation import ImplementationSection
 from models.vehicle.vehicle import SECTIONS
 from sim.__main__ import COMMANDS, VERBS
 from tests.support.commands import main_of
@@ -120,7 +121,7 @@ def test_every_key_has_an_entry_and_a_page(made):
     sections = generate.key_sections()
     assert all(any(name in heading for heading in sections) for name in SECTIONS[1:])
     assert {*CONTROLLER_KEYS} == {key for key, *_ in sections["[controllers.NAME]"]}
-    assert {*IMPLEMENTATION_KEYS} == {key for key, *_ in sections["[implementation]"]}
+    assert {*keys(ImplementationSection)} == {key for key, *_ in sections["[implementation]"]}
     bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]
     assert bare == []
     assert all(f"| `{key}` |" in text for keys in sections.values() for key, *_ in keys)

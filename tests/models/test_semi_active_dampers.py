@@ -108,7 +108,7 @@ def check_physics(run):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('"damper"', '"valve"', r"kind = 'valve' is unknown; give one of damper, force"),
+        ('"damper"', '"valve"', r"kind = 'valve' is not allowed; give 'force' or 'damper'"),
         ("c_min = 300.0", "", "c_min is missing; give c_min and c_max"),
         ("c_min = 300.0", "c_min = 4000.0", r"c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
         ("c_min = 300.0", "c_min = nan", r"c_min = nan is not allowed; give a number from 0 to"),

@@ -188,7 +188,7 @@ def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
         ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),
         ("{ compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force against bump or rebound"),
         ("{ compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
-        ("{ compression = [0.01, 0.02] }\nstop_stiffness = 3", "two names of one key; omit one"),
+        ("{ compression = [0.01, 0.02], force = [0, 500] }\nstop_stiffness = 3", "two names of one key; omit one"),
         ("1e5", "make a bump stop together"),
     ],
 )

@@ -129,7 +129,7 @@ ADDED = {
     ("full_car", "[limits]"): [],
     ("quarter_car", "[limits]"): [
         ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
-        ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "suspension_stroke rebound = -0.1"),
+        ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "[limits.suspension_stroke] rebound = -0.1"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
         ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),

@@ -440,7 +440,7 @@ DAMPED = {"vehicles": '["both.toml"]', "controllers": '["passive"]'}
 # (changes to the keys of a file that is fine, text after them, what is said)
 BAD_FILES = [
     ({"vehicles": "[]"}, "", "vehicles = [] is not allowed; give"),
-    ({"roads": None}, "", "the key 'roads' is missing, so the campaign has no runs; give a list"),
+    ({"roads": None}, "", "roads is missing; give roads: roads, as"),
     ({"speeds": "10.0"}, "", "speeds = 10.0 is not allowed; give"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
@@ -450,7 +450,7 @@ BAD_FILES = [
     ({"controllers": "[1]"}, "", "controllers[0] = 1 is not allowed; give"),
     ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
-    ({"speeds": '["fast"]'}, "", "speeds = 'fast' is not allowed"),
+    ({"speeds": '["fast"]'}, "", "speeds[0] = 'fast' is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 is not allowed; give an integer from 1 to"),
     ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give an integer"),
     ({"seeds": "[1, 1]"}, "", "seeds: 1 and 1 are the same; list only one of them"),
@@ -460,7 +460,7 @@ BAD_FILES = [
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
     ({"speed": "20"}, "", "unknown key 'speed'"),
     ({}, "[samples]\ncount = 0\n", "count = 0 is not allowed; give an integer from 1 to"),
-    ({}, "[samples]\nmethod = 'sobol'\n", "[samples] count = None is not allowed; give an integer"),
+    ({}, "[samples]\nmethod = 'sobol'\n", "[samples] count is missing; give count: number of samples"),
     ({}, "[samples]\ncount = 4\n", "lists nothing to sample"),
     ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
     ({}, SAMPLED + "colour = { uniform = [1, 2] }", "'colour' cannot be sampled; sample one of sprung_mass"),

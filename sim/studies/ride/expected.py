@@ -46,7 +46,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.quadrature import sample_band
 from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
 from models.vehicle.vehicle import Vehicle
@@ -60,6 +59,7 @@ from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, continuous, heights_read
+from synth.plant.quadrature import sample_band
 
 STILL = 1e-12  # relative to the largest variance in the same unit: a signal with less does not move
 

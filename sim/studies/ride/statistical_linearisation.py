@@ -42,7 +42,6 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.common.arrays import Array
 from models.common.printed import percent
-from models.common.quadrature import sample_band
 from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.suspension.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
@@ -53,6 +52,7 @@ from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
 from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 from synth.controller.open_loop import LoopModel, continuous
+from synth.plant.quadrature import sample_band
 
 DEGREES = (2, 3, 4)  # of the Hermite polynomials included
 COUNT = 4096  # frequencies

@@ -1,0 +1,359 @@
+"""Sections of a file as data: a section is a frozen dataclass, and the annotation of a field holds unit, range and meaning.
+
+    @dataclass(frozen=True)
+    class Payload(Section):
+        mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
+        x: Annotated[float, SI("m", "position of the mass, forward", -20.0, 20.0)] = 0.0
+
+From this declaration follow the reader of the section and the message for wrong input (`read`), the record of the section in logs
+(`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`). `models.common.checks` reads the same
+annotations for public functions. Pydantic reads the files, and is imported with the first one, so a section can be made, sampled
+and pickled without pydantic.
+"""
+
+import functools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
+
+from models.common.checks import number_within
+from models.common.errors import InputError, alike, error_in, number_range, quoted
+from models.common.units import in_unit
+
+SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
+HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key; ".NAME" after it is a key below
+PLACES = re.compile(HERE + r"(?:\.(\w+))?")
+
+
+class Key:
+    """Annotation of a key: reads its value with `read`, and describes the key in the reference page and the JSON schema.
+
+    Attributes:
+        unit: unit of the value; empty without one.
+        meaning: description of the key, one phrase.
+    """
+
+    unit: str = ""
+    meaning: str = ""
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the value."""
+        return {}
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns a value of a file, converted.
+
+        Args:
+            context: facts of the vehicle, see `read`.
+
+        Raises:
+            InputError: the value is not allowed; `HERE` stands for section and key in its message.
+        """
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.with_info_plain_validator_function(lambda value, info: self.read(value, info.context or {}))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
+        return {**self.json, "description": f"{self.meaning}{f' [{self.unit}]' if self.unit else ''}"}
+
+
+@dataclass(frozen=True)
+class SI(Key):
+    """A number in a unit and a range, written as 380 or "380 kg". It is also a condition of `models.common.checks`."""
+
+    unit: str = "1"
+    meaning: str = ""
+    low: float = SMALLEST
+    high: float = LARGEST
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> float:
+        """Returns the number in SI units."""
+        return self.number(HERE, value)
+
+    def number(self, what: str, value: Any) -> float:
+        """Returns a number in SI units; `what` names it in the message.
+
+        Raises:
+            InputError: the value is not a number, in another unit, or out of range.
+        """
+        return number_within(what, in_unit(value, self.unit, what), self.low, self.high, self.unit)
+
+    @property
+    def words(self) -> str:
+        """The allowed values; see `models.common.checks.Must`."""
+        return number_range(self.low, self.high, self.unit)
+
+    def holds(self, value: float) -> bool:
+        """Returns True for a number of the range."""
+        return self.low <= value <= self.high
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the number."""
+        number = {"type": "number", "minimum": self.low, "maximum": self.high}
+        return {"anyOf": [number, {"type": "string"}]} if self.unit not in ("", "1") else number
+
+
+@dataclass(frozen=True)
+class Flag(Key):
+    """True or false; `more` ends the message for another value."""
+
+    meaning: str = ""
+    more: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> bool:
+        """Returns the truth value."""
+        if not isinstance(value, bool):
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give true or false{self.more}")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a truth value."""
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True)
+class Integer(Key):
+    """An integer of a range; `more` ends the message for another value."""
+
+    meaning: str = ""
+    low: int = 0
+    high: int = 100_000
+    more: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> int:
+        """Returns the integer."""
+        if isinstance(value, bool) or not isinstance(value, int) or not self.low <= value <= self.high:
+            raise InputError(
+                f"{HERE} = {quoted(value)} is not allowed; give an integer from {self.low} to {self.high}{self.more}"
+            )
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the integer."""
+        return {"type": "integer", "minimum": self.low, "maximum": self.high}
+
+
+@dataclass(frozen=True)
+class Choice(Key):
+    """One of several texts."""
+
+    meaning: str = ""
+    texts: tuple[str, ...] = ()
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> str:
+        """Returns the text."""
+        if value not in self.texts:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the text."""
+        return {"enum": list(self.texts)}
+
+
+@dataclass(frozen=True)
+class Text(Key):
+    """A text."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> str:
+        """Returns the text."""
+        if not isinstance(value, str):
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a text."""
+        return {"type": "string"}
+
+
+@dataclass(frozen=True)
+class Listed(Key):
+    """A list with at least one value, each of which another key reads."""
+
+    meaning: str = ""
+    each: Key = Text()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.each.unit)
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Returns the values."""
+        if not isinstance(value, list | tuple) or not value:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value")
+        items = []
+        for i, one in enumerate(value):
+            try:
+                items.append(self.each.read(one, context))
+            except InputError as error:
+                raise InputError(str(error).replace(HERE, f"{HERE}[{i}]")) from error
+        return tuple(items)
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the list."""
+        return {"type": "array", "items": dict(self.each.json), "minItems": 1}
+
+
+@dataclass(frozen=True)
+class AnyTable(Key):
+    """A table whose keys are names, and whose values are read later, when more is known."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the table."""
+        if not isinstance(value, Mapping):
+            raise InputError(f"{HERE} = {quoted(value)} is not a table")
+        return value
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of any table."""
+        return {"type": "object"}
+
+
+@dataclass(frozen=True)
+class BySignal(Key):
+    """A table with a number from 0 for some signals, each in the unit of its signal.
+
+    The context of the reader has `signals`: the unit of each signal that is allowed, by name.
+    """
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+        """Returns the numbers in SI units, by signal."""
+        signals = context["signals"]
+        if not isinstance(value, Mapping):
+            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ {next(iter(signals))} = 0.01 }}")
+        for signal in value:
+            if signal not in signals:
+                raise InputError(f"{HERE}: unknown signal {quoted(signal)}; measurable are {alike(signal, signals)}")
+        return {signal: SI(signals[signal], low=0.0).number(f"{HERE}.{signal}", one) for signal, one in value.items()}
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the table."""
+        return {"type": "object", "additionalProperties": SI("of its signal", low=0.0).json}
+
+
+def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
+    """Returns a value of a table that is the value of a key; messages name the table, too."""
+    try:
+        return key.read(value, context)
+    except InputError as error:
+        raise InputError(str(error).replace(HERE, f"{HERE}.{name}", 1)) from error
+
+
+class Section:
+    """Base of the dataclasses that are sections of a file.
+
+    Attributes:
+        hints: advice on keys that users expect and that the section does not have, by key.
+    """
+
+    hints: ClassVar[Mapping[str, str]] = {}
+    __pydantic_config__: ClassVar[Mapping[str, Any]] = {"extra": "forbid"}
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the table of a file with the values that depend on other keys converted, before any value is checked."""
+        return given
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The section in a log: its keys that differ from the defaults, in SI units."""
+        given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
+        return {name: value for name, (value, usual) in given.items() if value != usual}
+
+
+S = TypeVar("S", bound=Section)
+
+
+def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
+    """Returns a section of a file.
+
+    Args:
+        where: name of the section, for messages, as in "[payload]".
+        section: the dataclass of the section.
+        given: table of the section, as read from TOML or JSON.
+        context: facts of the vehicle on which the allowed values depend, by name.
+
+    Raises:
+        InputError: a key is missing or unknown, a value is not allowed, or the values do not fit together: the message has
+            section and key, what was found, what is allowed, and what to do.
+    """
+    from pydantic import ValidationError
+
+    if not isinstance(given, Mapping):
+        raise InputError(f"{where} = {quoted(given)} is not a section; write {where}, and its keys below")
+    try:
+        with error_in(where):
+            given = section.prepared(given)
+        return _adapter(section).validate_python(given, context=context)
+    except ValidationError as error:
+        raise InputError(_message(where, section, given, error.errors(include_url=False)[0])) from None
+
+
+@functools.cache
+def _adapter(section: type) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(section)
+
+
+def _message(where: str, section: type[Section], given: Any, error: Mapping[str, Any]) -> str:
+    """Returns the message of an error that Pydantic found."""
+    kind, loc, cause = error["type"], error["loc"], error.get("ctx", {}).get("error")
+    if kind == "missing":
+        key = keys(section)[loc[-1]]
+        unit = f" [{key.unit}]" if key.unit else ""
+        return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        if hint := section.hints.get(str(loc[-1])):
+            return f"{where} {quoted(loc[-1])} {hint}".lstrip()
+        return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()
+    path = [*_path(given, loc)]
+    if not isinstance(cause, InputError):
+        return f"{_place(where, path)} = {quoted(error['input'])} is not allowed; {error['msg']}"
+    text = str(cause) if HERE in str(cause) else f"{HERE} {cause}"
+    return PLACES.sub(lambda found: _place(where, [*path, *filter(None, found.groups())]), text)
+
+
+def _place(where: str, path: Sequence[str]) -> str:
+    """Returns the name of a key as in TOML, its tables in brackets."""
+    if not where:
+        return ".".join(path)
+    return " ".join([f"{where[:-1]}.{'.'.join(path[:-1])}]" if path[1:] else where, *path[-1:]])
+
+
+def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
+    """Yields the parts of a location that are keys of the file; others are Pydantic's."""
+    for part in loc:
+        if isinstance(given, Mapping) and part in given:
+            yield str(part)
+            given = given[part]
+
+
+def keys(section: type) -> dict[str, Key]:
+    """Returns unit, meaning and allowed values of every key of a section, by name."""
+    return {field.name: _key(field.type) for field in fields(section)}
+
+
+def _key(annotation: Any) -> Key:
+    """Returns the `Key` of an annotation, which may also allow None."""
+    if get_origin(annotation) is Annotated:
+        return next(one for one in get_args(annotation)[1:] if isinstance(one, Key))
+    return next(_key(one) for one in get_args(annotation) if get_origin(one) is Annotated)

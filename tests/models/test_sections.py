@@ -1,0 +1,82 @@
+"""Every key of every section of a file: wrong types, ranges, units and spellings are refused in a line with section and key."""
+
+import dataclasses
+import pickle
+
+import pytest
+
+from models.common.errors import InputError
+from models.common.schema import SI, AnyTable, Flag, Integer, Key, keys, read
+from models.suspension.bump_stops import StopSection
+from models.suspension.damper import ActuatorSection
+from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
+from models.vehicle.payload import PayloadSection
+from sim.campaign.file import CampaignFile
+from sim.campaign.samples import SamplesSection
+
+CONTEXT = {"signals": {"sprung_velocity": "m/s"}}
+SECTIONS = {  # each with a table that is right
+    ImplementationSection: {"sample_period": 0.01},
+    LimitsSection: {"actuator_force": 100.0},
+    StopSection: {"suspension_stroke": 0.1, "stop_stiffness": 1e5},
+    ActuatorSection: {"kind": "damper", "c_min": 100.0, "c_max": 1e3},
+    PayloadSection: {"mass": 100.0},
+    CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},
+    SamplesSection: {"count": 3, "parameters": {}},
+}
+KEYS = [(section, name, key) for section in SECTIONS for name, key in keys(section).items()]
+NAMES = [f"{section.__name__}-{name}" for section, name, _ in KEYS]
+
+
+def of_each(key: Key) -> list[Key]:
+    """The key, and those of the values that it holds."""
+    held = [value for value in vars(key).values() if isinstance(value, Key)]
+    return [key, *(one for value in held for one in of_each(value))]
+
+
+def wrapped(key: Key, value: object) -> object:
+    """A value as the key holds it: in a list, if the key is one."""
+    return [value] if "each" in vars(key) else value
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
+def test_a_section(section):
+    """A right table is read, and is the same after it was pickled; an unknown key is refused, with the known ones."""
+    given = read("[here]", section, SECTIONS[section], **CONTEXT)
+    assert pickle.loads(pickle.dumps(given)) == given
+    with pytest.raises(InputError, match=r"^\[here\] unknown key 'colour'; known keys: \w+"):
+        read("[here]", section, {**SECTIONS[section], "colour": 1}, **CONTEXT)
+    with pytest.raises(InputError, match=r"^\[here\] = 3 is not a section; write \[here\]"):
+        read("[here]", section, 3)
+    for field in dataclasses.fields(section):
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            left = {name: value for name, value in SECTIONS[section].items() if name != field.name}
+            with pytest.raises(InputError, match=rf"^\[here\] {field.name} is missing; give {field.name}.*: \w+"):
+                read("[here]", section, left, **CONTEXT)
+
+
+@pytest.mark.parametrize(("section", "name", "key"), KEYS, ids=NAMES)
+def test_a_key(section, name, key):
+    """A key has a meaning, and a value of a wrong type is refused in a line with section, key, value and what is allowed."""
+    assert key.meaning
+    for wrong in ([[]], 1.5 if isinstance(key, Flag) else True, *[{"colour": []}] * (not isinstance(key, AnyTable))):
+        with pytest.raises(InputError) as error:
+            read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
+        assert str(error.value).startswith("[here")
+        assert name in str(error.value)
+
+
+@pytest.mark.parametrize(("section", "name", "key"), KEYS, ids=NAMES)
+def test_numbers(section, name, key):
+    """A number has a range, which the message names, and may have its unit; another unit is refused, with the right one."""
+    (number,) = [one for one in of_each(key) if isinstance(one, SI | Integer)] or [None]
+    if number is None:
+        pytest.skip("not a number")
+    for wrong in (number.low - 1, number.high + max(1, number.high)):
+        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+"):
+            read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT)
+    if isinstance(number, SI):
+        with pytest.raises(
+            InputError, match=rf"^\[here\] {name}\S* = '3 A' has the unknown unit 'A', but a unit of {number.unit} "
+        ):
+            read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
