@@ -310,7 +310,7 @@ class StopStiffness(Key):
         """The JSON schema of a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        return {"anyOf": [number, several, {"type": "object", "properties": dict.fromkeys(TABLE_KEYS, {})}]}
+        return {"anyOf": [number, several, {"type": "object", "properties": {key: {} for key in TABLE_KEYS}}]}
 
 
 @dataclass(frozen=True)
