@@ -9,7 +9,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.document.figure import Spans
-from models.laws.goals import BOUND_KINDS
+from models.laws.goals import BOUNDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import gain_at
 from synth.analysis.specification import Specification
@@ -46,7 +46,7 @@ def test_a_family_from_a_file(tmp_path):
         ("sprung_mass\n", "no line of numbers; give a .toml file"),
         ("sprung_mass\n1,2\n", "no line above line 2 has headings for its 2 column(s); give"),
         ("sprung_mass\n1\nheavy\n", "line 3, column 1: 'heavy' is not a finite number"),
-        ("colour\n1.0\n", "has no parameter 'colour'"),
+        ("colour\n1.0\n", "family[0]: unknown parameter 'colour'"),
         ("sprung_mass\n" + "1" * 140_000, "is not a finite number; give a .toml file"),
         ("sprung_mass,tyre_stiffness, sprung_mass\n1,1,2\n", "two columns are called 'sprung_mass'; remove one of these columns"),
     ],
@@ -99,13 +99,13 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("minimise = { frequency = 3 }", "unknown key 'frequency'"),
         ("bounds = [{ norm = -1 }]", "norm = -1 is not allowed"),
         ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is not a bound"),
-        ("bounds = [{ peak = 'suspension_deflection' }]", "has no at_most"),
-        ("bounds = [{ energy_peak = 'suspension_deflection' }]", "has no at_most"),
+        ("bounds = [{ peak = 'suspension_deflection' }]", "bounds[0] at_most is missing"),
+        ("bounds = [{ energy_peak = 'suspension_deflection' }]", "bounds[0] at_most is missing"),
         ("bounds = [{ energy_peak = 'suspension_deflection', energy = -1, at_most = 1 }]", "energy = -1 is not allowed"),
         ("tolerance = { tyre_deflection = 0.1 }", "force is all forces"),
         ("tolerance = { force = 0.1, control_force = 0.1 }", "give one of the two"),
         ("family = [{ sprung_mass = 0 }]", "is not allowed"),
-        ("family = [{ colour = 2 }]", "has no parameter 'colour'"),
+        ("family = [{ colour = 2 }]", "family[0]: unknown parameter 'colour'"),
         ("structure = 'wheel'", "is not allowed; give"),
         ("structure = [[0, 0]]", "has only zeros"),
         ('minimise = {}\norder = "full"', 'order = "full" cannot be combined with minimise: goals are available only'),
@@ -128,11 +128,11 @@ def test_what_is_no_bound_is_offered_every_kind():
     with pytest.raises(InputError) as error:
         vehicle_with(f"measured = {TWO}\nbounds = [{{ foo = 1 }}]")
     offered = re.findall(r"\{ (?!foo)[^}]*\}", str(error.value).partition("give one of")[2])
-    assert [text.split()[1] for text in offered] == list(BOUND_KINDS)
+    assert [text.split()[1] for text in offered] == list(BOUNDS)
     bounds = ", ".join(offered).replace("SIGNAL", '"suspension_deflection"').replace("ROAD", '"bump"')
     goals = vehicle_with(f"measured = {TWO}\nbounds = [{bounds}]").controllers["goal"].goals
     assert goals is not None
-    assert len(goals.bounds) == len(BOUND_KINDS)
+    assert len(goals.bounds) == len(BOUNDS)
 
 
 @pytest.mark.parametrize(
