@@ -14,7 +14,7 @@ and pickled without pydantic.
 import functools
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import number_within
@@ -230,24 +230,29 @@ class AnyTable(Key):
 
 
 @dataclass(frozen=True)
-class Table(Key):
-    """A table that is a section by itself; `more` ends the message for another value."""
+class Subsection(Key):
+    """A table that is a section by itself; of several sections, it is that whose first key without default the table has.
+
+    The message for another value ends with `give`.
+    """
 
     meaning: str = ""
-    section: "type[Section] | None" = None
-    more: str = ""
+    sections: "tuple[type[Section], ...]" = ()
+    give: str = "a table"
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns the section."""
-        if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table{self.more}")
-        assert self.section is not None
-        return read(HERE, self.section, value, **context)
+        fitting = self.sections if isinstance(value, Mapping) else ()
+        if len(fitting) > 1:
+            fitting = [one for one in fitting if next(iter(required(one))) in value]
+        if len(fitting) != 1:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {self.give}")
+        return read(HERE, fitting[0], value, **context)
 
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the section."""
-        return _adapter(self.section).json_schema() if self.section is not None else {}
+        return {"anyOf": [_adapter(one).json_schema() for one in self.sections]}
 
 
 @dataclass(frozen=True)
@@ -402,6 +407,11 @@ def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
 def keys(section: type) -> dict[str, Key]:
     """Returns unit, meaning and allowed values of every key of a section, by name."""
     return {field.name: _key(field.type) for field in fields(section)}
+
+
+def required(section: type) -> list[str]:
+    """Returns the names of the keys of a section that have no default."""
+    return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
 
 
 def _key(annotation: Any) -> Key:

@@ -10,11 +10,11 @@ structure = "corner"
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from models.common.checks import is_finite, number_within
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Table, Text, keys, read
+from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text
 from models.common.units import in_unit
 from models.laws.filter import POLYNOMIALS, Filter, read_filter
 
@@ -119,16 +119,12 @@ AtMost = Annotated[float, ReadBy("largest allowed magnitude, in the unit of the 
 class NormBound(NormOf):
     """Upper bound on a norm."""
 
-    example: ClassVar[str] = "{ norm = 8.6 }"
-
     norm: Annotated[float, SI("1", "upper bound on a norm", SMALLEST)]
 
 
 @dataclass(frozen=True)
 class PeakBound(Section):
     """Upper bound on a signal's largest magnitude over a road."""
-
-    example: ClassVar[str] = "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal)]
     at_most: AtMost
@@ -140,8 +136,6 @@ class PeakBound(Section):
 class EnergyBound(Section):
     """Upper bound on a signal's largest magnitude over all roads of given energy."""
 
-    example: ClassVar[str] = "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }"
-
     energy_peak: Annotated[str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal)]
     at_most: AtMost
     energy: Annotated[float, SI("m2/s", "integral of the squared velocity under all wheels together", SMALLEST)] = 1.0
@@ -151,8 +145,6 @@ class EnergyBound(Section):
 class DecayBound(Section):
     """Bound on the poles, which lie to the left of minus this rate."""
 
-    example: ClassVar[str] = "{ decay = 1.2 }"
-
     decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
 
@@ -160,25 +152,15 @@ class DecayBound(Section):
 class GainBound(Section):
     """Upper bound on the size of the gain's entries."""
 
-    example: ClassVar[str] = "{ gain = 2e4 }"
-
     gain: Annotated[float, SI("1", "largest magnitude of an entry of the gain", SMALLEST)]
 
 
 Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
-BOUNDS: Mapping[str, type[Bound]] = {  # by the key that tells them apart
-    next(name for name in keys(one) if name not in keys(NormOf)): one
-    for one in (NormBound, PeakBound, EnergyBound, DecayBound, GainBound)
-}
-
-
-def _bound(value: Any, context: Mapping[str, Any]) -> Bound:
-    """Returns a bound of any kind."""
-    kinds = [key for key in BOUNDS if key in value] if isinstance(value, Mapping) else []
-    if len(kinds) != 1:
-        examples = ", ".join(one.example for one in BOUNDS.values())
-        raise InputError(f"{HERE} = {quoted(value)} is not a bound; give one of {examples}")
-    return read(HERE, BOUNDS[kinds[0]], value, **context)
+BOUNDS = (NormBound, PeakBound, EnergyBound, DecayBound, GainBound)
+EXAMPLES = (
+    "a bound, one of { norm = 8.6 }, { peak = SIGNAL, road = ROAD, at_most = 0.09 }, "
+    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }"
+)
 
 
 def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filter]:
@@ -265,10 +247,11 @@ class Goals(Section):
     """
 
     minimise: Annotated[
-        Minimise, Table("norm of which the largest value is minimised", Minimise, ", as in { band = [4.0, 8.0] }")
+        Minimise, Subsection("norm that is minimised", (Minimise,), "a table, as in { band = [4.0, 8.0] } with frequencies in Hz")
     ] = field(default_factory=Minimise)
     bounds: Annotated[
-        tuple[Bound, ...], Listed("bounds for all vehicles and errors", ReadBy("", _bound), ", as in [{ norm = 8.6 }]", 0)
+        tuple[Bound, ...],
+        Listed("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
     ] = ()
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)

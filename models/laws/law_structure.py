@@ -18,7 +18,7 @@ import numpy as np
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import entry
-from models.common.schema import HERE, SI, ReadBy, Section, Table
+from models.common.schema import HERE, SI, ReadBy, Section, Subsection
 from models.laws.goals import PATTERNS, PI, PID, Goals, corner_rows
 from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
@@ -112,7 +112,7 @@ class StructureSection(Goals):
     """Keys of a controller's section that give the structure of a law, with those of its goals."""
 
     order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order)] = None
-    pid: Annotated[PidSection, Table("numbers of a PI or PID law", PidSection, f", as in {EXAMPLE}")] | None = None
+    pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
         """Returns the structure of the law that is designed; None for a static gain, a law of full order and a given law.

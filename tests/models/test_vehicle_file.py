@@ -43,7 +43,12 @@ CHANGES = [
     ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
     ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I] unknown key 'gains'; known keys: gain, "]),
+    (
+        "unknown controller key",
+        MINE,
+        f"{MINE}\ngains = [[1.0, 2.0]]",
+        ["[controllers.I] unknown key 'gains'; known keys: gain, "],
+    ),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain cannot be combined with A: a controller"]),
     (
@@ -91,7 +96,7 @@ ADDED = {
         (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
-        ("loads = { heave_load = 0.0 }", "[controllers.mine.loads] heave_load = 0.0", "from 1e-06"),
+        ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
         ("loads = true", "loads = True is not a table"),
         ('loads = { heave_load = 1e3 }\ndesign = "h2"', '"h2" cannot be combined with loads: ', 'choose design = "h2"'),
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds cannot be combined with loads: ", "or loads"),
@@ -199,7 +204,7 @@ def test_a_mistake_is_named(text, old, new, said):
 )
 def test_what_is_added_wrongly_is_named(kind, lines, said):
     """Keys that do not go together, and sections of what a vehicle does not have, are refused in one line that says where."""
-    with refused(*said, *(["[controllers.mine]"] if "[controllers.mine]" in lines else [])):
+    with refused(*said, *(["[controllers.mine"] if "[controllers.mine]" in lines else [])):
         parse_vehicle(f"{read_vehicle(kind).text}\n{lines}\n")
 
 
