@@ -138,7 +138,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
         parts["order" if section["order"] else "steps"] = f"order = {section['order']}"
     if filtered:
         parts["pid"] = f'structure = "{structure}"'
-    if not parts and not goal_keys:
+    if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
     of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain

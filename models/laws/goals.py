@@ -65,12 +65,8 @@ def _band(value: Any, context: Mapping[str, Any]) -> tuple[float, float]:
 class NormOf(Section):
     """Norm from the road to weighted signals."""
 
-    signals: Annotated[Mapping[str, float], ReadBy("weights by signal, signals, or `performance`", _weighted_signals)] | None = (
-        None
-    )
-    band: Annotated[tuple[float, float], ReadBy("lowest and highest frequency; default: all frequencies", _band, "Hz")] = (
-        EVERYWHERE
-    )
+    signals: Annotated[Mapping[str, float], ReadBy("weights by signal, or `performance`", _weighted_signals)] | None = None
+    band: Annotated[tuple[float, float], ReadBy("lowest and highest frequency; default: all", _band, "Hz")] = EVERYWHERE
 
     @property
     def narrow(self) -> bool:

@@ -49,6 +49,11 @@ class LawStructure:
         """The structure as in a vehicle file."""
         return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
 
+    @property
+    def record(self) -> dict[str, Any]:
+        """The key of a vehicle file that names the structure."""
+        return {"structure": self.kind} if self.kind else {"order": self.order}
+
     def states(self, forces: int) -> int:
         """Returns how many states a law for so many forces has at most, without those of PI and PID."""
         return self.order * (forces if self.rows is not None else 1)
@@ -111,7 +116,7 @@ def is_order(value: object) -> bool:
 class StructureSection(Goals):
     """Keys of a controller's section that give the structure of a law, with those of its goals."""
 
-    order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order)] = None
+    order: Annotated[str | int, ReadBy("`static`, `full`, or the number of states of the law", _order)] | None = None
     pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
@@ -124,55 +129,44 @@ class StructureSection(Goals):
         Raises:
             InputError: the structure does not fit the signals, or `pid` does not fit the structure.
         """
-        if self.structure in PATTERNS:
-            what = f'structure = "{self.structure}"'
-            rows = _one_each(what, measured, corners)
-            return LawStructure(rows=rows, kind=self.structure, filter=self._designed_filter(what))
-        return LawStructure(self.order, self.structure) if self.order and is_order(self.order) else None
-
-    def _designed_filter(self, what: str) -> float:
-        """Returns the time constant of the derivative of a law that is designed [s]; 0 for PI."""
-        pid = self.pid or PidSection()
+        if self.structure not in PATTERNS:
+            return LawStructure(self.order, self.structure) if self.order and is_order(self.order) else None
+        what, pid = f'structure = "{self.structure}"', self.pid or PidSection()
+        rows = _one_each(what, measured, corners)
         if given := [name for name in GAINS if getattr(pid, name)]:
             raise InputError(
                 f"{what} designs the gains, but pid already gives {given[0]}; omit structure to use the given gains, or give "
                 "only filter in pid"
             )
-        if self.structure == PI:
-            if self.pid is not None and pid.filter is not None:
-                raise InputError(f"{what} has no derivative, but the key pid sets a filter for one; omit pid")
-            return 0.0
-        if pid.filter is None:
+        if self.structure == PI and pid.filter is not None:
+            raise InputError(f"{what} has no derivative, but the key pid sets a filter for one; omit pid")
+        if self.structure == PID and pid.filter is None:
             raise InputError(
                 f"{what} needs the time constant of the derivative's low-pass filter; give it in seconds, as in "
                 "pid = { filter = 0.01 }"
             )
-        return pid.filter
+        return LawStructure(rows=rows, kind=self.structure, filter=pid.filter or 0.0)
 
     def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
         """Returns the PID law of given numbers, without the states that do nothing; None for any other law.
 
-        Args:
-            measured: names of the measured signals.
-            corners: suffix of the names at a force's suspension, by force.
-
-        Raises:
-            InputError: a number is missing, or there is not one signal for each force.
+        Args and errors are those of `law_structure`.
         """
-        if self.pid is None or self.structure in PATTERNS:
+        pid = self.pid
+        if pid is None or self.structure in PATTERNS:
             return None
         m, rows = len(corners), np.array(_one_each("pid", measured, corners), dtype=float)
-        K = np.zeros((m, 3 * m))  # on what the filters of all signals give
-        for part, gains in enumerate((self.pid.kp, self.pid.ki, self.pid.kd)):
-            K[range(m), range(part, 3 * m, 3)] = gains or 0.0
-        if np.any(self.pid.kd) and self.pid.filter is None:
+        if np.any(pid.kd) and pid.filter is None:
             raise InputError(
                 "pid has kd but no filter, so a step would cause an infinite force; give the time constant of the derivative's "
                 "filter in seconds, as in filter = 0.01"
             )
-        if self.pid.filter is not None and not np.any(self.pid.kd):
+        if pid.filter is not None and not np.any(pid.kd):
             raise InputError("pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
-        law = side_by_side(pid_filter(PID, self.pid.filter or 1.0), m)
+        K = np.zeros((m, 3 * m))  # on what the filters of all signals give
+        for part, gains in enumerate((pid.kp, pid.ki, pid.kd)):
+            K[range(m), range(part, 3 * m, 3)] = gains or 0.0
+        law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
         C, D = K @ law.C, K @ law.D
         kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
         return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 from xml.etree import ElementTree
@@ -197,17 +198,7 @@ def sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _law(value: Any, context: Mapping[str, Any]) -> str:
-    """Returns the name of a law in Python, `FILE.py:FUNCTION`."""
-    return _beside(value, LAW, f"a law in Python; {GIVE}")
-
-
-def _fmu(value: Any, context: Mapping[str, Any]) -> str:
-    """Returns the name of an FMU's file."""
-    return _beside(value, FMU, f"an FMU; {GIVE_FMU}")
-
-
-def _beside(value: Any, pattern: re.Pattern[str], expected: str) -> str:
+def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
     """Returns a name that has a file in the folder of the vehicle file or below. Opens no file."""
     match = pattern.fullmatch(value) if isinstance(value, str) else None
     if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
@@ -227,9 +218,9 @@ def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
 class ProgramSection(Section):
     """Keys of a controller's section with a law in Python or an FMU."""
 
-    law: Annotated[str, ReadBy("law in Python, `FILE.py:FUNCTION`", _law)] | None = None
+    law: Annotated[str, ReadBy("law in Python, `FILE.py:NAME`", partial(_beside, LAW, f"a law in Python; {GIVE}"))] | None = None
     preview: Annotated[float, AHEAD] | None = None
-    fmu: Annotated[str, ReadBy("FMU that is a law, `FILE.fmu`", _fmu)] | None = None
+    fmu: Annotated[str, ReadBy("FMU that is a law", partial(_beside, FMU, f"an FMU; {GIVE_FMU}"))] | None = None
     inputs: Annotated[Mapping[str, str], ReadBy("signals by the names of an FMU's inputs", _variables)] | None = None
     outputs: Annotated[Mapping[str, str], ReadBy("forces by the names of an FMU's outputs", _variables)] | None = None
 

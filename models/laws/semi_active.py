@@ -268,8 +268,7 @@ class SemiActiveSection(Section):
 
         Args:
             given: keys of the section in the file.
-            outputs: signals of the vehicle.
-            inputs: forces of the vehicle.
+            outputs, inputs: signals and forces of the vehicle.
             endings: suffix of the names at every suspension with an adjustable damper, by force.
 
         Raises:

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.checks import is_finite
 from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.printed import size
-from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, ReadBy, Section, Text, read
+from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, ReadBy, Section, Text, keys, read
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD
@@ -119,32 +119,15 @@ class ControllerEntry(Demands):
     @property
     def parts(self) -> dict[str, str]:
         """Its law or design, and its options, each as in a vehicle file: rows of the table of compatible options."""
-        parts: dict[str, str] = {}
-        if self.law is not None:
-            parts |= {"states": "a law with states"} if self.law.states else {"gain": "gain"}
-        elif self.python is not None:
-            parts["law"] = "law"
-        elif self.semi_active is not None:
-            parts["semi_active"] = "semi_active"
-        elif self.structure is not None:
-            parts[self.design] = self.structure.text
-        elif self.design:
-            parts[self.design] = f'order = "{FULL}"' if self.design == FULL else f'design = "{self.design}"'
-        elif self.goals is None:
-            parts["steps"] = "the default two-step design"
-        flags = {
-            "stable": self.stable,
-            "noise": any(self.hardware.noise),
-            "lag": self.hardware.bandwidth is not None,
-            "sampled": self.sampled,
-            "study": self.study,
-        }
-        parts |= {key: f"{key} = true" for key, value in flags.items() if value}
-        if self.goals is not None:
-            parts |= {"goals": "goals"} | {key: key for key in ("tolerance", "family") if getattr(self.goals, key)}
-        parts |= {key: key for key in ("fastest_pole", "anti_windup") if getattr(self, key) is not None}
-        parts |= {"weights": "a weight in tolerance"} if self.errors is not None else {}
-        return parts | ({"loads": "loads"} if self.hardware.loads else {})
+        records = (self.law, self.python, self.semi_active, self.structure, self.hardware, self.goals)
+        given = {key: value for one in records if one is not None for key, value in one.record.items()}
+        given |= {key: value for key in keys(Demands) if (value := getattr(self, key))} | {"sampled": self.sampled}
+        if self.structure is None and self.design:
+            given["order" if self.design == FULL else "design"] = self.design
+        if self.errors is not None:
+            given["tolerance"] = given.get("tolerance", {}) | self.errors.record
+        parts = section_parts(given, ())
+        return parts | ({"states": "a law with states"} if "states" in parts else {})
 
     def driver(self) -> Programmed | SemiActive:
         """Returns the controller of a law in Python, whose file is read and not run, or of a semi-active law.
@@ -184,30 +167,28 @@ def _measured(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _gain(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a gain, one for each force, with a number for each measured signal."""
-    m, q = len(context["corners"]), len(context.get("measured", ()))
-    give = (
-        f"give {m} row(s), one for each actuator, of {q} number(s), one for each measured signal, of at most {LARGEST:g} in "
-        f"magnitude, as in gain = {[[1.0] * q] * m}"
-    )
-    rows = _rows(value, give, LARGEST)
-    if len(rows) != m or any(len(row) != q for row in rows):
-        raise InputError(f"{HERE} has {size(rows)}; {give}")
-    return rows
-
-
-def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a matrix of a law."""
-    return _rows(value, "give a list of rows", np.inf)
-
-
-def _rows(value: Any, give: str, largest: float) -> tuple[tuple[float, ...], ...]:
+def _rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[float, ...], ...]:
     """Returns rows of numbers; `give` ends the message for another value."""
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
         raise InputError(f"{HERE} = {quoted(value)} is not a matrix of numbers; {give}")
     return tuple(tuple(float(x) for x in row) for row in rows)
+
+
+def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
+    """Returns the rows of a matrix of a law."""
+    return _rows(value, "give a list of rows")
+
+
+def _gain(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
+    """Returns the rows of a gain, one for each force, with a number for each measured signal."""
+    m, q = len(context["corners"]), len(context.get("measured", ()))
+    give = f"give {m} row(s), one for each actuator, of {q} number(s), one for each measured signal, of at most {LARGEST:g} in "
+    give += f"magnitude, as in gain = {[[1.0] * q] * m}"
+    rows = _rows(value, give, LARGEST)
+    if len(rows) != m or any(len(row) != q for row in rows):
+        raise InputError(f"{HERE} has {size(rows)}; {give}")
+    return rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,12 +222,12 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Sig
         if self.file is not None:
             raise InputError("file needs a vehicle file next to it, but this vehicle is read from text; give the matrices")
         matrices = [key for key in (*MATRICES, "sample_period") if getattr(self, key) is not None]
+        if matrices and self.pid is not None:
+            raise InputError(f"has both pid and {matrices[0]}, but a controller has only one law; omit one of them")
         if matrices and (missing := [key for key in MATRICES if key not in matrices]):
             raise InputError(
                 f"{listing(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
             )
-        if matrices and self.pid is not None:
-            raise InputError(f"has both pid and {matrices[0]}, but a controller has only one law; omit one of them")
         if self.certificate is not None and not self.given:
             raise InputError("certificate needs a section with a gain or a law; remove it here")
         if self.preview is not None and self.law is None and self.design != PREVIEW:
@@ -309,7 +290,7 @@ def read_controllers(
             if with_samples and implementation.sample_period is None:
                 raise InputError(NO_PERIOD)
             entry = _entry(name, asked, given, model, limits, implementation, facts["corners"], folder, dampers or {})
-        goals = asked.goals if "goals" in parts else None
+            goals = asked.goals if "goals" in parts else None
         if goals is not None and entry.structure is not None:
             goals = replace(goals, structure=None)
         weights = {name: one for name, one in asked.tolerance.items() if isinstance(one, Filter)}

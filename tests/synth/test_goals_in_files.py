@@ -154,7 +154,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "-v"]) == 0
     assert "--refine" not in capsys.readouterr().out
-    with pytest.raises(DesignError, match="goals cannot be combined with --refine: only static gains of the smallest norm"):
+    with pytest.raises(DesignError, match="bounds cannot be combined with --refine: only static gains of the smallest norm"):
         Designer(read_vehicle(path)).refine("goal")
     with pytest.raises(InputError, match="two-step design has a matrix L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
