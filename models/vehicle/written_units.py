@@ -5,9 +5,6 @@ from typing import Any
 
 from models.common.units import in_unit
 from models.kinds.kind import VehicleKind
-from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
-
-SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
 def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
@@ -19,21 +16,8 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     Raises:
         InputError: a unit is unknown, or of another dimension than its key.
     """
-    signals = {one.name: one.unit for one in (*kind.signals, *kind.on_demand, *(part.velocity for part in kind.suspensions))}
-
-    def bound(given: Any) -> dict[str, Any]:
-        signal = next((given[key] for key in ("peak", "energy_peak") if key in given), "") if isinstance(given, Mapping) else ""
-        most = signals.get(signal) if isinstance(signal, str) else None
-        return {"band": "Hz", "speed": "m/s", "energy": "m2/s", "decay": "rad/s", "at_most": most}
-
-    controller = {
-        **dict.fromkeys(SKY, "N s/m"), "crossover": "rad/s", "sample_period": "s", "preview": "s", "anti_windup": "1/s",
-        "loads": {"*": "N", PITCH_LOAD.name: "N m", ROLL_LOAD.name: "N m"}, "pid": {"filter": "s"}, "tolerance": "1",
-        "minimise": {"band": "Hz"}, "bounds": bound, "fastest_pole": "rad/s",
-    }  # fmt: skip
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
-        "controllers": {"*": controller},
     }
     return {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
 
