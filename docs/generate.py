@@ -15,6 +15,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -37,7 +38,9 @@ from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
+from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
+from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.suspension.damper import ActuatorSection
@@ -290,12 +293,20 @@ def signal_tables() -> str:
     return text
 
 
-def numbers(owner: type) -> str:
-    """Returns the table of a road's or load's numbers, with their defaults."""
-    meanings = attributes(owner)
-    fields = [one for one in inspect.signature(owner).parameters.values() if one.name in meanings]
-    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(meanings[one.name])) for one in fields]
-    return table(("number", "default", "meaning"), rows) if rows else ""
+def numbers(section: type) -> str:
+    """Returns the table of the numbers of a road or load, with their defaults."""
+    rows = [
+        (f"`{one.name}`", "" if one.default in (None, MISSING, ()) else f"{one.default}", key.unit, allowed(key), key.meaning)
+        for one, key in zip(fields(section), schema.keys(section).values(), strict=True)
+    ]
+    return table(("number", "default", "unit", "allowed", "meaning"), rows)
+
+
+def allowed(key: schema.Key) -> str:
+    """Returns the allowed values of a number or a text; empty for others."""
+    if isinstance(key, schema.SI):
+        return f"{key.low:g} to {key.high:g}"
+    return ", ".join(key.texts) if isinstance(key, schema.Choice) else ""
 
 
 def first(owner: Any) -> str:
@@ -308,9 +319,10 @@ def roads() -> str:
     text = (
         "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`.\n"
     )
+    settings = {Rig: RigSettings, Profile: TableSettings}
     for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
         for name, owner in table_of.items():
-            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(owner)}"
+            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(settings.get(owner, owner))}"
     return text
 
 

@@ -12,18 +12,20 @@ and pickled without pydantic.
 """
 
 import functools
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
-from models.common.checks import number_within
+from models.common.checks import HERE, number_within
 from models.common.errors import InputError, alike, error_in, number_range, quoted
-from models.common.units import in_unit
+from models.common.printed import settings
+from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
-HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key; ".NAME" after it is a key below
-PLACES = re.compile(HERE + r"(?:\.(\w+))?")
+MOST_SEED = 2**63 - 1
+PLACES = re.compile(HERE + r"(?:\.(\w+))?")  # `read` replaces it by section and key; ".NAME" after it is a key below
 
 
 class Key:
@@ -88,14 +90,10 @@ class SI(Key):
         """The allowed values; see `models.common.checks.Must`."""
         return number_range(self.low, self.high, self.unit)
 
-    def holds(self, value: float) -> bool:
-        """Returns True for a number of the range."""
-        return self.low <= value <= self.high
-
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the number."""
-        number = {"type": "number", "minimum": self.low, "maximum": self.high}
+        number = {"type": "number", "minimum": self.low} | ({"maximum": self.high} if self.high < math.inf else {})
         return {"anyOf": [number, {"type": "string"}]} if self.unit not in ("", "1") else number
 
 
@@ -249,6 +247,25 @@ class BySignal(Key):
         return {"type": "object", "additionalProperties": SI("of its signal", low=0.0).json}
 
 
+@dataclass(frozen=True)
+class Tables(Key):
+    """A list of tables, each of which is a section."""
+
+    meaning: str = ""
+    section: type["Section"] | None = None
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Returns the sections."""
+        if not isinstance(value, list | tuple) or self.section is None:
+            raise InputError(f"{HERE} = {quoted(value)} is not a list of tables; give each one as a table in double brackets")
+        return tuple(read(f"{HERE}[{i}]", self.section, one, **context) for i, one in enumerate(value))
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the list."""
+        return {"type": "array", "items": {"type": "object"}}
+
+
 def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
     """Returns a value of a table that is the value of a key; messages name the table, too."""
     try:
@@ -305,6 +322,25 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         return _adapter(section).validate_python(given, context=context)
     except ValidationError as error:
         raise InputError(_message(where, section, given, error.errors(include_url=False)[0])) from None
+
+
+def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
+    """Returns a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line, where a number may be without its unit.
+
+    Args:
+        where: what the message is about.
+        names: the allowed names; those of all keys by default.
+
+    Raises:
+        InputError: the text has another form, or a name or a value is not allowed.
+    """
+    known = keys(section)
+    with error_in(where):
+        given: dict[str, Any] = dict(settings(text, names or known))
+        for name, value in given.items():
+            if isinstance(key := known.get(name), SI):
+                given[name] = setting(name, value, key.unit)
+    return read(where, section, given)
 
 
 @functools.cache

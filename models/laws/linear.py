@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
-from models.common.checks import Positive, check
+from models.common.checks import Positive, PositiveTime, check
 from models.common.errors import InputError
 from models.common.printed import entry, rough
 
@@ -60,8 +60,8 @@ class LinearLaw:
                     f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D has shape {(m, q)}: one row for "
                     "each force and one column for each measured signal"
                 )
-        for name in ("sample_period", "anti_windup"):
-            object.__setattr__(self, name, check(name, getattr(self, name), Positive | None))
+        for name, allowed in (("sample_period", PositiveTime), ("anti_windup", Positive)):
+            object.__setattr__(self, name, check(name, getattr(self, name), allowed | None))
 
     @property
     def states(self) -> int:

@@ -1,17 +1,19 @@
 """Measured roads: heights over distance, and the line through them."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self, TypeVar
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
-from models.common.errors import InputError, quoted
-from models.roads.road import LIMITS, MeasuredRoad, check_numbers
+from models.common.errors import InputError, error_in
+from models.common.schema import LARGEST, SI, Choice, Section
+from models.common.units import setting
+from models.roads.road import MeasuredRoad, Speed
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -26,6 +28,16 @@ OFTEN = 0.05  # of the points: sorted so badly, a distance may be a coordinate
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
 JOINS = ("straight", "smooth")
+Join = Annotated[str, Choice("how points are joined", JOINS)]
+
+
+class _Begun(Protocol):
+    """Road of measured points."""
+
+    def begun_at(self, start: float) -> Self: ...
+
+
+BegunRoad = TypeVar("BegunRoad", bound=_Begun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +63,13 @@ class Profile(MeasuredRoad):
 
     distance: Array
     heights: Array
-    speed: float = 20.0
+    speed: Speed = 20.0
     source: str = field(default="")
-    join: str = "straight"
+    join: Join = JOINS[0]
     note: str = ""
 
     def __post_init__(self) -> None:
-        check_fields(self)
-        check_numbers("profile", self, {"speed": LIMITS["speed"]})
-        if self.join not in JOINS:
-            raise InputError(f"profile join = {quoted(self.join)} is unknown; give {' or '.join(JOINS)}")
+        check_fields(self, "profile ")
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
@@ -104,6 +113,11 @@ class Profile(MeasuredRoad):
         """Returns distances and heights of the points up to the first one behind a driven length [m]."""
         points = max(2, int(np.searchsorted(self._x, length)) + 1)
         return self.distance[:points], self.heights[:points]
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of its description."""
+        return {**dict.fromkeys(("from", "length", "lowest", "highest"), "m"), "speed": "m/s"}
 
     @property
     def duration(self) -> float:
@@ -213,6 +227,24 @@ class Profile(MeasuredRoad):
             side: CubicSpline(self._x, z, bc_type=ends[side])  # pyright: ignore[reportArgumentType] - a tuple, says scipy
             for side, z in self._over_plane.items()
         }
+
+
+@dataclass(frozen=True)
+class Driven(Section):
+    """Settings of a road from a file with distances."""
+
+    start: Annotated[float, SI("m", "`from`, the distance at which the vehicle starts", low=-LARGEST)] | None = None
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the settings with another name for `from`, which Python reserves."""
+        start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
+        return {name: value for name, value in given.items() if name != "from"} | start
+
+    def begun(self, where: str, road: BegunRoad) -> BegunRoad:
+        """Returns a road from the start on, or the whole road; `where` names the road in a message."""
+        with error_in(where):
+            return road if self.start is None else road.begun_at(self.start)
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:
