@@ -148,7 +148,7 @@ class Choice(Key):
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
-        if value not in self.texts:
+        if not isinstance(value, str) or value not in self.texts:
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}")
         return value
 
@@ -260,11 +260,6 @@ class Tables(Key):
             raise InputError(f"{HERE} = {quoted(value)} is not a list of tables; give each one as a table in double brackets")
         return tuple(read(f"{HERE}[{i}]", self.section, one, **context) for i, one in enumerate(value))
 
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the list."""
-        return {"type": "array", "items": {"type": "object"}}
-
 
 def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
     """Returns a value of a table that is the value of a key; messages name the table, too."""
@@ -328,7 +323,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     """Returns a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line, where a number may be without its unit.
 
     Args:
-        where: what the message is about.
+        where: name of the section, for messages.
         names: the allowed names; those of all keys by default.
 
     Raises:

@@ -3,8 +3,9 @@
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, error_in, quoted
 from models.common.files import path_from
 from models.common.schema import keys, read_text
 from models.roads.description import ROADS
@@ -23,6 +24,7 @@ READ = (
     "readable are .csv, .txt, .xlsx and .mat files with columns of distance and height, .erd files, .rdf files with a poly_line "
     "and .crg files (OpenCRG)"
 )
+Measured = TypeVar("Measured", Profile, Surface)
 RPC = "; RPC III files (.rsp, .drv) cannot be read, so export their channels as text"
 
 
@@ -104,13 +106,13 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     if file and file["suffix"].lower() == "crg":
         own = f"{where} an OpenCRG file contains its own units and interpolation, and"
         given = read_text(own, Driven, file["settings"], ("from",))
-        return RoadChoice(text, given.begun(where, read_surface(path_from(file["path"], folder))))
+        return RoadChoice(text, _begun(where, given, read_surface(path_from(file["path"], folder))))
     if file:
         from models.roads.profile_file import TableSettings, read_profile
 
         given = read_text(where, TableSettings, file["settings"], [*keys(TableSettings), "from"])
         profile = replace(read_profile(path_from(file["path"], folder), 20.0, given), join=given.join)
-        return RoadChoice(text, given.begun(where, profile))
+        return RoadChoice(text, _begun(where, given, profile))
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     names = Iso8608.settings if kind == "iso8608" else [name for name in keys(ROADS[kind]) if name != "speed"]
@@ -129,6 +131,12 @@ def _unread(text: str, folder: Path) -> str:
     what = f"{quoted(path.suffix)} files cannot be read" if path.suffix else "its name has no ending"
     rpc = RPC if path.suffix.lower() in (".rsp", ".drv") else ""
     return f"road {text!r}: the file exists, but {what} ({READ}); rename or convert the file{rpc}"
+
+
+def _begun(where: str, given: Driven, road: Measured) -> Measured:
+    """Returns a road from the distance on that its settings give, or the whole road."""
+    with error_in(where):
+        return road if given.start is None else road.begun_at(given.start)
 
 
 def _rig(where: str, text: str, folder: Path) -> Rig:

@@ -4,13 +4,13 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
-from models.common.errors import InputError, error_in
+from models.common.errors import InputError
 from models.common.schema import LARGEST, SI, Choice, Section
 from models.common.units import setting
 from models.roads.road import MeasuredRoad, Speed
@@ -29,15 +29,6 @@ START = 11.0  # m, whose mean slope is that of the start and of the golden car's
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
 JOINS = ("straight", "smooth")
 Join = Annotated[str, Choice("how points are joined", JOINS)]
-
-
-class _Begun(Protocol):
-    """Road of measured points."""
-
-    def begun_at(self, start: float) -> Self: ...
-
-
-BegunRoad = TypeVar("BegunRoad", bound=_Begun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +60,7 @@ class Profile(MeasuredRoad):
     note: str = ""
 
     def __post_init__(self) -> None:
-        check_fields(self, "profile ")
+        check_fields(self)
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
@@ -240,11 +231,6 @@ class Driven(Section):
         """Returns the settings with another name for `from`, which Python reserves."""
         start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
         return {name: value for name, value in given.items() if name != "from"} | start
-
-    def begun(self, where: str, road: BegunRoad) -> BegunRoad:
-        """Returns a road from the start on, or the whole road; `where` names the road in a message."""
-        with error_in(where):
-            return road if self.start is None else road.begun_at(self.start)
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:

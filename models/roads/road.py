@@ -57,8 +57,8 @@ class Road(ABC):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the numbers in its description, by name; no entry for a pure number."""
-        return {}
+        """Units of the numbers in its description, by name."""
+        return {name: key.unit for name, key in keys(type(self)).items()} if isinstance(self, Section) else {}
 
     @property
     def spectrum(self) -> "Spectrum | None":
@@ -184,11 +184,6 @@ class Obstacle(Section, Road):
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of its fields."""
-        return {name: key.unit for name, key in keys(type(self)).items()}
 
     def describe(self) -> dict[str, float | str]:
         """Returns its kind under `type`, and its fields."""
