@@ -19,8 +19,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import HERE, number_within
-from models.common.errors import InputError, alike, error_in, number_range, quoted
-from models.common.printed import settings
+from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
 from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
@@ -329,13 +328,19 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     Raises:
         InputError: the text has another form, or a name or a value is not allowed.
     """
-    known = keys(section)
+    known, given = keys(section), dict[str, Any]()
     with error_in(where):
-        given: dict[str, Any] = dict(settings(text, names or known))
-        for name, value in given.items():
-            if isinstance(key := known.get(name), SI):
-                given[name] = setting(name, value, key.unit)
-    return read(where, section, given)
+        for part in text.split(":")[1:]:
+            name, equals, value = part.partition("=")
+            if not equals or name not in (names or known):
+                raise InputError(f"{part!r} is not a setting NAME=VALUE; NAME must be one of {listing(names or known)}")
+            if name in given:
+                raise InputError(f"{name} is given twice, as {given[name]!r} and as {value!r}; give it once")
+            given[name] = value
+        numbers = {
+            name: setting(name, given[name], key.unit) for name, key in known.items() if isinstance(key, SI) and name in given
+        }
+    return read(where, section, given | numbers)
 
 
 @functools.cache

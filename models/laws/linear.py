@@ -60,8 +60,8 @@ class LinearLaw:
                     f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D has shape {(m, q)}: one row for "
                     "each force and one column for each measured signal"
                 )
-        for name, allowed in (("sample_period", PositiveTime), ("anti_windup", Positive)):
-            object.__setattr__(self, name, check(name, getattr(self, name), allowed | None))
+        object.__setattr__(self, "sample_period", check("sample_period", self.sample_period, PositiveTime | None))
+        object.__setattr__(self, "anti_windup", check("anti_windup", self.anti_windup, Positive | None))
 
     @property
     def states(self) -> int:

@@ -14,7 +14,7 @@ from models.roads.load import Load
 from models.roads.load_choice import choose_load
 from models.roads.loaded import RoadWithLoads
 from models.roads.opencrg import Surface, read_surface
-from models.roads.profile import Driven, Profile
+from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Obstacle, Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
@@ -103,16 +103,17 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     where, file, (kind, colon, rest) = f"road {text!r}:", FILE.fullmatch(text), text.partition(":")
     if kind == "rig":
         return RoadChoice(text, _rig(where, text, folder))
-    if file and file["suffix"].lower() == "crg":
-        own = f"{where} an OpenCRG file contains its own units and interpolation, and"
-        given = read_text(own, Driven, file["settings"], ("from",))
-        return RoadChoice(text, _begun(where, given, read_surface(path_from(file["path"], folder))))
     if file:
         from models.roads.profile_file import TableSettings, read_profile
 
+    if file and file["suffix"].lower() == "crg":
+        own = f"{where} an OpenCRG file contains its own units and interpolation, and"
+        given = read_text(own, TableSettings, file["settings"], ("from",))
+        return RoadChoice(text, _begun(where, given.start, read_surface(path_from(file["path"], folder))))
+    if file:
         given = read_text(where, TableSettings, file["settings"], [*keys(TableSettings), "from"])
         profile = replace(read_profile(path_from(file["path"], folder), 20.0, given), join=given.join)
-        return RoadChoice(text, _begun(where, given, profile))
+        return RoadChoice(text, _begun(where, given.start, profile))
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     names = Iso8608.settings if kind == "iso8608" else [name for name in keys(ROADS[kind]) if name != "speed"]
@@ -133,10 +134,10 @@ def _unread(text: str, folder: Path) -> str:
     return f"road {text!r}: the file exists, but {what} ({READ}); rename or convert the file{rpc}"
 
 
-def _begun(where: str, given: Driven, road: Measured) -> Measured:
-    """Returns a road from the distance on that its settings give, or the whole road."""
+def _begun(where: str, start: float | None, road: Measured) -> Measured:
+    """Returns a road from a distance on [m], or the whole road."""
     with error_in(where):
-        return road if given.start is None else road.begun_at(given.start)
+        return road if start is None else road.begun_at(start)
 
 
 def _rig(where: str, text: str, folder: Path) -> Rig:

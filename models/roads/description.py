@@ -6,22 +6,23 @@ from typing import Any
 
 from models.common.checks import check
 from models.common.errors import InputError, listing, quoted
-from models.common.schema import Section, read
+from models.common.schema import read
 from models.roads.iso8608 import Iso8608
 from models.roads.load_choice import described_loads
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv
-from models.roads.road import Road, ScaledRoad
+from models.roads.road import Obstacle, Road, ScaledRoad
 from models.roads.sinusoids import MULTISINES, Multisine
 from models.vehicle.names import PLUS
 
-ROADS: Mapping[str, type[Section]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
+Described = Obstacle | Iso8608 | Multisine
+ROADS: Mapping[str, type[Described]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
 SAME = 1e-12  # relative rounding of numbers that follow from others
 
 
-def read_road(where: str, table: Mapping[str, Any]) -> Any:
+def read_road(where: str, table: Mapping[str, Any]) -> Described:
     """Returns the road of a table.
 
     Args:
@@ -60,7 +61,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
             return rig_from_csv(points, source)
         if "join" not in description:
             raise InputError("an older version recorded this road, and joined its points differently; drive over the road again")
-        return from_csv(points, description.get("speed"), source, str(description["join"]))
+        return from_csv(points, check(f"{where} speed", description.get("speed"), float), source, str(description["join"]))
     factor = description["factor"] if kind in OBSTACLES and "factor" in description else None
     road = read_road(where, {name: value for name, value in description.items() if factor is None or name != "factor"})
     for name, value in road.describe().items():

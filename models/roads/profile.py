@@ -1,18 +1,17 @@
 """Measured roads: heights over distance, and the line through them."""
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError
-from models.common.schema import LARGEST, SI, Choice, Section
-from models.common.units import setting
+from models.common.schema import Choice
 from models.roads.road import MeasuredRoad, Speed
 from models.vehicle.vehicle import Vehicle
 
@@ -104,11 +103,6 @@ class Profile(MeasuredRoad):
         """Returns distances and heights of the points up to the first one behind a driven length [m]."""
         points = max(2, int(np.searchsorted(self._x, length)) + 1)
         return self.distance[:points], self.heights[:points]
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of its description."""
-        return {**dict.fromkeys(("from", "length", "lowest", "highest"), "m"), "speed": "m/s"}
 
     @property
     def duration(self) -> float:
@@ -218,19 +212,6 @@ class Profile(MeasuredRoad):
             side: CubicSpline(self._x, z, bc_type=ends[side])  # pyright: ignore[reportArgumentType] - a tuple, says scipy
             for side, z in self._over_plane.items()
         }
-
-
-@dataclass(frozen=True)
-class Driven(Section):
-    """Settings of a road from a file with distances."""
-
-    start: Annotated[float, SI("m", "`from`, the distance at which the vehicle starts", low=-LARGEST)] | None = None
-
-    @classmethod
-    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the settings with another name for `from`, which Python reserves."""
-        start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
-        return {name: value for name, value in given.items() if name != "from"} | start
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:

@@ -26,10 +26,10 @@ from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.printed import percent, rough
 from models.common.quantities import UNREAD, Heading, columns_in_words, left_out_words
-from models.common.schema import HERE, SI, Choice, Key
+from models.common.schema import HERE, LARGEST, SI, Choice, Key, Section
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
 from models.common.units import LENGTH, setting, unit_size
-from models.roads.profile import JOINS, Driven, Join, Profile, check_points
+from models.roads.profile import JOINS, Join, Profile, check_points
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
@@ -71,9 +71,10 @@ class Columns(Key):
 
 
 @dataclass(frozen=True)
-class TableSettings(Driven):
-    """Settings of a road from a file with a table."""
+class TableSettings(Section):
+    """Settings of a road from a file."""
 
+    start: Annotated[float, SI("m", "`from`, the distance at which the vehicle starts", low=-LARGEST)] | None = None
     distance_unit: Annotated[str, Choice("unit of distances without a unit in the heading; default: m", UNITS)] = ""
     height_unit: Annotated[str, Choice("unit of heights without a unit in the heading; default: m", UNITS)] = ""
     unit: Annotated[str, Choice("the same as `height_unit`", UNITS)] = ""
@@ -81,6 +82,12 @@ class TableSettings(Driven):
     columns: Annotated[tuple[int, ...], Columns("columns of distance and height, or distance, left and right")] = ()
     step: Annotated[float, SI("m", "constant spacing of the rows, of height, or left and right")] | None = None
     join: Join = JOINS[0]
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the settings with another name for `from`, which Python reserves."""
+        start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
+        return {name: value for name, value in given.items() if name != "from"} | start
 
     def __post_init__(self) -> None:
         if self.step is None and len(self.columns) == 1:

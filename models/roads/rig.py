@@ -1,6 +1,6 @@
 """Posts of a test rig: the height under each wheel over time, as in a four-post rig's drive file."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -54,11 +54,6 @@ class Rig(MeasuredRoad):
         check_shape("heights", self.heights, (len(self.time), len(self.posts)), "one row for each time, one column for each post")
         check_posts(self.posts)
         check_history(self.time, self.heights)
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of its description."""
-        return {"duration": "s", "lowest": "m", "highest": "m"}
 
     @property
     def duration(self) -> float:

@@ -293,6 +293,11 @@ class MeasuredRoad(Road):
     Heights are measured from one datum, the mean of the heights at the first contacts.
     """
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the numbers in its description."""
+        return {**dict.fromkeys(("from", "length", "lowest", "highest"), "m"), "duration": "s", "speed": "m/s"}
+
     @abstractmethod
     def start(self, side: str) -> tuple[float, float]:
         """Returns height [m] at time 0 and rate [m/s] of the steady motion on a side."""

@@ -26,6 +26,7 @@ from sim.runs.run import sample_times
 
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 Texts = tuple[str, ...]
+MEASURED = {Profile: ("distance", "heights"), Rig: ("time", "heights"), Surface: ("u", "v", "z")}  # roads of files: their points
 
 
 @dataclass(frozen=True)
@@ -42,19 +43,14 @@ class Seeds(Key):
 
 
 @dataclass(frozen=True)
-class RoadText(Text):
+class RoadText(Key):
     """A road as a text, or as a table whose `type` is the kind of road."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if isinstance(value, Mapping) and isinstance(value.get("type"), str):
             value = ":".join([value["type"], *(f"{name}={one}" for name, one in value.items() if name != "type")])
-        return super().read(value, context)
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a text or a table."""
-        return {"anyOf": [super().json, {"type": "object", "required": ["type"]}]}
+        return Text().read(value, context)
 
 
 @dataclass(frozen=True)
@@ -199,12 +195,8 @@ def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
 
 def _measured(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
-    named, arrays, of = [], [], road.road
-    if isinstance(of, Profile):
-        named, arrays = [of.join], [of.distance, of.heights]
-    elif isinstance(of, Rig):
-        named, arrays = [*of.posts], [of.time, of.heights]
-    elif isinstance(of, Surface):
-        arrays = [of.u, of.v, of.z]
+    measured = road.road
+    arrays = [getattr(measured, name) for name in MEASURED.get(type(measured), ())]
+    named = [*measured.posts] if isinstance(measured, Rig) else [measured.join] if isinstance(measured, Profile) else []
     named += [load.content for load in road.loads if load.content != load.text]
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]
