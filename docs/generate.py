@@ -52,6 +52,7 @@ from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
+from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -227,6 +228,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[payload]"] = section_keys(PayloadSection)
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
+    sections["entry.toml of the gallery"] = section_keys(Entry)[1:]
+    sections["[[printed]] of entry.toml"] = section_keys(PrintedNumber)
     return sections
 
 
@@ -483,6 +486,10 @@ def names(package: Any) -> str:
         directive = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "automodule"
         if inspect.ismodule(value) or callable(value):
             lines += [f".. {directive}:: {value.__name__ if inspect.ismodule(value) else f'{package.__name__}.{name}'}", ""]
+            if inspect.isclass(value) and issubclass(value, schema.Section):
+                lines += [f"   :param {key}: {meaning}{unit and f' [{unit}]'}" for key, unit, meaning in section_keys(value)] + [
+                    ""
+                ]
         else:
             lines += [f".. py:data:: {package.__name__}.{name}", "", f"   {value!r}", ""]
     return "\n".join([*lines, "```", ""])

@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from models.common.errors import InputError
-from models.common.schema import SI, AnyTable, Flag, Integer, Key, keys, read
+from models.common.schema import SI, AnyTable, Choice, Flag, Integer, Key, keys, read
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
@@ -78,6 +78,9 @@ def test_a_key(section, name, key):
             read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
         assert str(error.value).startswith("[here")
         assert name in str(error.value)
+    if any(isinstance(one, Choice) for one in of_each(key)):
+        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = 'blue' is not allowed; give '\w+"):
+            read("[here]", section, {**SECTIONS[section], name: wrapped(key, "blue")}, **CONTEXT)
 
 
 @pytest.mark.parametrize(("section", "name", "key"), KEYS, ids=NAMES)
