@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
 HIGHEST = 10.0  # m
-Height = Annotated[float, SI("m", "height", -HIGHEST, HIGHEST)]
 Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
 Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
 Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]
@@ -199,7 +198,7 @@ class Bump(Obstacle):
     """Isolated bump (61): one period of a cosine. Defaults are the paper's (62)."""
 
     kind: ClassVar[str] = "bump"
-    height: Height = BUMP_HEIGHT
+    height: Annotated[float, SI("m", "height", -HIGHEST, HIGHEST)] = BUMP_HEIGHT
     length: Length = BUMP_LENGTH
     speed: Speed = BUMP_SPEED
     track: Track = "both"
