@@ -3,7 +3,6 @@
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 from models.common.errors import InputError, error_in, quoted
 from models.common.files import path_from
@@ -24,7 +23,6 @@ READ = (
     "readable are .csv, .txt, .xlsx and .mat files with columns of distance and height, .erd files, .rdf files with a poly_line "
     "and .crg files (OpenCRG)"
 )
-Measured = TypeVar("Measured", Profile, Surface)
 RPC = "; RPC III files (.rsp, .drv) cannot be read, so export their channels as text"
 
 
@@ -104,16 +102,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     if kind == "rig":
         return RoadChoice(text, _rig(where, text, folder))
     if file:
-        from models.roads.profile_file import TableSettings, read_profile
-
-    if file and file["suffix"].lower() == "crg":
-        own = f"{where} an OpenCRG file contains its own units and interpolation, and"
-        given = read_text(own, TableSettings, file["settings"], ("from",))
-        return RoadChoice(text, _begun(where, given.start, read_surface(path_from(file["path"], folder))))
-    if file:
-        given = read_text(where, TableSettings, file["settings"], [*keys(TableSettings), "from"])
-        profile = replace(read_profile(path_from(file["path"], folder), 20.0, given), join=given.join)
-        return RoadChoice(text, _begun(where, given.start, profile))
+        return RoadChoice(text, _measured(where, file["path"], file["suffix"].lower() == "crg", file["settings"], folder))
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     names = Iso8608.settings if kind == "iso8608" else [name for name in keys(ROADS[kind]) if name != "speed"]
@@ -134,10 +123,16 @@ def _unread(text: str, folder: Path) -> str:
     return f"road {text!r}: the file exists, but {what} ({READ}); rename or convert the file{rpc}"
 
 
-def _begun(where: str, start: float | None, road: Measured) -> Measured:
-    """Returns a road from a distance on [m], or the whole road."""
+def _measured(where: str, name: str, crg: bool, settings: str, folder: Path) -> Profile | Surface:
+    """Returns the road of a file."""
+    from models.roads.profile_file import TableSettings, read_profile
+
+    path, own = path_from(name, folder), " an OpenCRG file contains its own units and interpolation, and" * crg
+    names = ["from"] if crg else [{"start": "from"}.get(key, key) for key in keys(TableSettings)]
+    given = read_text(f"{where}{own}", TableSettings, settings, names)
+    road = read_surface(path) if crg else replace(read_profile(path, 20.0, given), join=given.join)
     with error_in(where):
-        return road if start is None else road.begun_at(start)
+        return road if given.start is None else road.begun_at(given.start)
 
 
 def _rig(where: str, text: str, folder: Path) -> Rig:
