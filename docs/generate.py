@@ -15,6 +15,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -37,7 +38,9 @@ from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
+from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
+from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.suspension.damper import ActuatorSection
@@ -49,6 +52,7 @@ from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
+from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -218,6 +222,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[payload]"] = section_keys(PayloadSection)
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
+    sections["entry.toml of the gallery"] = section_keys(Entry)[1:]
+    sections["[[printed]] of entry.toml"] = section_keys(PrintedNumber)
     return sections
 
 
@@ -284,12 +290,20 @@ def signal_tables() -> str:
     return text
 
 
-def numbers(owner: type) -> str:
-    """Returns the table of a road's or load's numbers, with their defaults."""
-    meanings = attributes(owner)
-    fields = [one for one in inspect.signature(owner).parameters.values() if one.name in meanings]
-    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(meanings[one.name])) for one in fields]
-    return table(("number", "default", "meaning"), rows) if rows else ""
+def numbers(section: type) -> str:
+    """Returns the table of the numbers of a road or load, with their defaults."""
+    rows = [
+        (f"`{one.name}`", "" if one.default in (None, MISSING, ()) else f"{one.default}", key.unit, allowed(key), key.meaning)
+        for one, key in zip(fields(section), schema.keys(section).values(), strict=True)
+    ]
+    return table(("number", "default", "unit", "allowed", "meaning"), rows)
+
+
+def allowed(key: schema.Key) -> str:
+    """Returns the allowed values of a number or a text; empty for others."""
+    if isinstance(key, schema.SI):
+        return f"{key.low:g} to {key.high:g}"
+    return ", ".join(key.texts) if isinstance(key, schema.Choice) else ""
 
 
 def first(owner: Any) -> str:
@@ -302,9 +316,10 @@ def roads() -> str:
     text = (
         "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`.\n"
     )
+    settings = {Rig: RigSettings, Profile: TableSettings}
     for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
         for name, owner in table_of.items():
-            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(owner)}"
+            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(settings.get(owner, owner))}"
     return text
 
 
@@ -465,6 +480,10 @@ def names(package: Any) -> str:
         directive = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "automodule"
         if inspect.ismodule(value) or callable(value):
             lines += [f".. {directive}:: {value.__name__ if inspect.ismodule(value) else f'{package.__name__}.{name}'}", ""]
+            if inspect.isclass(value) and issubclass(value, schema.Section):
+                lines += [f"   :param {key}: {meaning}{unit and f' [{unit}]'}" for key, unit, meaning in section_keys(value)] + [
+                    ""
+                ]
         else:
             lines += [f".. py:data:: {package.__name__}.{name}", "", f"   {value!r}", ""]
     return "\n".join([*lines, "```", ""])

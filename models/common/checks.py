@@ -22,6 +22,7 @@ from models.common.errors import InputError, listing, number_range, quoted
 from models.common.files import path_from
 
 F = TypeVar("F", bound=Callable[..., Any])
+HERE = "\N{WHITE SQUARE}"  # in the message of a `models.common.schema.Key`: the name of the value that was read
 
 
 @dataclass(frozen=True)
@@ -29,31 +30,31 @@ class Must:
     """Further condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: the allowed values. Words that begin with a comma follow those of the annotated type.
+        words: the allowed values. Words that begin with a comma or a space follow those of the annotated type.
         holds: returns True for an allowed value, which has the annotated type.
+        unit: unit of a number; a text with another unit is converted, so that "60 mm" is 0.06 in m. Empty for other values.
     """
 
     words: str
     holds: Callable[[Any], bool]
+    unit: str = ""
 
     def __repr__(self) -> str:  # in `help`, where the condition itself would be an address
-        return repr(self.words.removeprefix(", "))
+        return repr(self.words.lstrip(", "))
 
 
 AT_LEAST_ONE = Must(", at least one", lambda value: len(value) > 0)
 Positive = Annotated[float, Must("a number above 0", lambda value: 0 < value < math.inf)]
 NotNegative = Annotated[float, Must("a number from 0 upwards", lambda value: 0 <= value < math.inf)]
 Bound = Annotated[float, Must("a number above 0, or infinity", lambda value: value > 0)]
+Length = Annotated[float, Must(" in m", lambda value: True, "m")]
+Time = Annotated[float, Must(" in s", lambda value: True, "s")]
+PositiveSpeed = Annotated[float, Must("a number above 0 in m/s", lambda value: 0 < value < math.inf, "m/s")]
+PositiveTime = Annotated[float, Must("a number above 0 in s", lambda value: 0 < value < math.inf, "s")]
 Index = Annotated[int, Must("an integer from 0 upwards", lambda value: value >= 0)]
 Vector = Annotated[Array, Must("a list of finite numbers", lambda value: value.ndim == 1 and bool(np.isfinite(value).all()))]
 Matrix = Annotated[Array, Must("a matrix of finite numbers", lambda value: value.ndim == 2 and bool(np.isfinite(value).all()))]
 Name = Annotated[str, Must("letters, digits and '_', no digit first", str.isidentifier)]
-SETTINGS: Mapping[str, str] = {  # units of numbers of roads, loads, runs and laws, by name
-    **dict.fromkeys(["height", "length", "depth", "edge", "amplitude", "track_width", "x", "y", "from"], "m"),
-    **dict.fromkeys(["duration", "timestep", "start", "rise", "hold", "sample_period"], "s"),
-    **dict.fromkeys(["frequency", "lowest", "highest"], "Hz"),
-    **{"speed": "m/s", "phase": "deg", "mass": "kg", "force": "N", "g": "g", "iri": "m/km", "gd": "m3"},
-}
 WORDS: Mapping[Any, str] = {
     Any: "anything",
     Array: "an array of numbers",
@@ -67,22 +68,21 @@ WORDS: Mapping[Any, str] = {
 }
 
 
-def check(name: str, value: Any, annotation: Any, units: Mapping[str, str] = SETTINGS) -> Any:
+def check(name: str, value: Any, annotation: Any) -> Any:
     """Returns a value that fits its annotation. A list becomes the annotated array or tuple.
 
-    Args:
-        units: units by name, of numbers that may be a text with a unit: `height="60 mm"` is 0.06.
+    An annotation with a unit also takes a text: `height="60 mm"` is 0.06.
 
     Raises:
         InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
     """
     check_unmasked(name, value)
-    value = value if annotation is str else as_number(value, units.get(name, ""), name)
     try:
         return _fit("", value, annotation)
     except _UnfitError as error:
-        place, part, allowed = error.args
-        raise InputError(f"{name}{place} = {quoted(part)} is not allowed; give {_words(allowed)}") from None
+        place, part, allowed, message = error.args
+        message = message or f"{HERE} = {quoted(part)} is not allowed; give {_words(allowed)}"
+        raise InputError(message.replace(HERE, f"{name}{place}")) from None
 
 
 def as_number(value: Any, unit: str, what: str) -> Any:
@@ -98,18 +98,18 @@ def as_number(value: Any, unit: str, what: str) -> Any:
     return in_unit(value, unit, what)
 
 
-def check_fields(value: Any) -> None:
+def check_fields(value: Any, prefix: str = "") -> None:
     """Checks the fields of a dataclass, for `__post_init__`. Lists become the annotated arrays and tuples.
 
-    A class attribute `units` has the units of fields that differ from `SETTINGS`.
+    Args:
+        prefix: text before the name of a field in a message.
 
     Raises:
         InputError: a field does not fit its annotation.
     """
-    units = {**SETTINGS, **getattr(value, "units", {})}
     for field in fields(value):
         given = getattr(value, field.name)
-        fitting = check(field.name, given, field.type, units)
+        fitting = check(f"{prefix}{field.name}", given, field.type)
         if fitting is not given:
             object.__setattr__(value, field.name, fitting)
 
@@ -130,13 +130,13 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
     """Returns a number from `smallest` to `largest` as a float. `what` names it in the message, and `more` ends that.
 
-    With a unit, a text such as "450 kg" is a number, too.
+    With a unit, a text such as "450 kg" is a number, too. Infinity is one if it is the largest number.
 
     Raises:
         InputError: the value is not a number, or out of range, or has a unit of another dimension.
     """
     value = as_number(value, unit, what)
-    if not is_finite(value) or not smallest <= value <= largest:
+    if not (is_finite(value) or (isinstance(value, float) and value == largest)) or not smallest <= value <= largest:
         raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
     return float(value)
 
@@ -224,7 +224,10 @@ def plain(value: Any) -> Any:
 
 
 class _UnfitError(Exception):
-    """Raised with the place of a part within a value, as in "[0]", the part, and the annotation that it does not fit."""
+    """Raised with the place of a part within a value, as in "[0]", the part, the annotation that it does not fit, and a message.
+
+    An empty message stands for the usual one.
+    """
 
 
 def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
@@ -232,8 +235,15 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
     given, allowed = value, annotation if allowed is None else allowed
     outer, inner, fits = get_origin(annotation) or annotation, get_args(annotation), True
     if outer is Annotated:
+        key = inner[1]
+        try:
+            if not isinstance(key, Must):
+                return key.read(plain(value), {})
+            value = as_number(value, key.unit, HERE)
+        except InputError as error:
+            raise _UnfitError(place, given, allowed, str(error)) from None
         value = _fit(place, value, inner[0], allowed)
-        fits = inner[1].holds(value)
+        fits = key.holds(value)
     elif outer in (Union, UnionType):
         errors = []
         for one in inner:
@@ -261,7 +271,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
     else:
         value, fits = _simple(value, outer)
     if not fits:
-        raise _UnfitError(place, given, allowed)
+        raise _UnfitError(place, given, allowed, "")
     return value
 
 
@@ -291,7 +301,8 @@ def _words(annotation: Any) -> str:
     """Returns the values that an annotation allows, in words."""
     outer, inner = get_origin(annotation) or annotation, get_args(annotation)
     if outer is Annotated:
-        return (_words(inner[0]) if inner[1].words.startswith(",") else "") + inner[1].words
+        words = getattr(inner[1], "words", "")
+        return (_words(inner[0]) if words[:1] in ("", ",", " ") else "") + words
     if outer in (Union, UnionType):
         return " or ".join(map(_words, inner))
     if outer in WORDS or not isinstance(outer, type):

@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError, listing
-
 # Formats of numbers in sentences. Columns of tables have fields (`models.document.field`).
 NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
 digits = f"{{:{NORM_DIGITS}}}".format
@@ -66,23 +64,6 @@ def percent(share: float) -> str:
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
-
-
-def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
-    """Parses `:NAME=VALUE:NAME=VALUE`, each name once.
-
-    Raises:
-        InputError: the text has another form.
-    """
-    values: dict[str, str] = {}
-    for setting in text.split(":")[1:]:
-        name, equals, value = setting.partition("=")
-        if not equals or name not in allowed:
-            raise InputError(f"{setting!r} is not a setting NAME=VALUE; NAME must be one of {listing(allowed)}")
-        if name in values:
-            raise InputError(f"{name} is given twice, as {values[name]!r} and as {value!r}; give it once")
-        values[name] = value
-    return values
 
 
 def size(rows: list[Any]) -> str:

@@ -160,10 +160,3 @@ def _unit_of(written: str, units: Collection[str]) -> str:
     """Returns the usual name of a unit in a heading."""
     unit = unit_named(written)
     return "lbf" if unit == "lb" and "N" in units else unit
-
-
-def check_unit_options(settings: Mapping[str, str], options: Mapping[str, str]) -> None:
-    """Raises an InputError for a setting that is not a unit of its quantity; `options` has the quantities by setting."""
-    for name, quantity in options.items():
-        if name in settings and settings[name] not in (units := QUANTITIES[quantity].units):
-            raise InputError(f"{name} = {settings[name]!r} is an unknown unit; give one of {listing(units)}")

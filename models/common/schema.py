@@ -12,18 +12,19 @@ and pickled without pydantic.
 """
 
 import functools
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
-from models.common.checks import number_within
-from models.common.errors import InputError, alike, error_in, number_range, quoted
-from models.common.units import in_unit
+from models.common.checks import HERE, number_within
+from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
+from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
-HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key; ".NAME" after it is a key below
-PLACES = re.compile(HERE + r"(?:\.(\w+))?")
+MOST_SEED = 2**63 - 1
+PLACES = re.compile(HERE + r"(?:\.(\w+))?")  # `read` replaces it by section and key; ".NAME" after it is a key below
 
 
 class Key:
@@ -87,14 +88,10 @@ class SI(Key):
         """The allowed values; see `models.common.checks.Must`."""
         return number_range(self.low, self.high, self.unit)
 
-    def holds(self, value: float) -> bool:
-        """Returns True for a number of the range."""
-        return self.low <= value <= self.high
-
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the number."""
-        number = {"type": "number", "minimum": self.low, "maximum": self.high}
+        number = {"type": "number", "minimum": self.low} | ({"maximum": self.high} if self.high < math.inf else {})
         return {"anyOf": [number, {"type": "string"}]} if self.unit not in ("", "1") else number
 
 
@@ -150,7 +147,7 @@ class Choice(Key):
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
-        if value not in self.texts:
+        if not isinstance(value, str) or value not in self.texts:
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}{self.more}")
         return value
 
@@ -296,6 +293,20 @@ class ReadBy(Key):
         return self.function(value, context)
 
 
+@dataclass(frozen=True)
+class Tables(Key):
+    """A list of tables, each of which is a section."""
+
+    meaning: str = ""
+    section: type["Section"] | None = None
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Returns the sections."""
+        if not isinstance(value, list | tuple) or self.section is None:
+            raise InputError(f"{HERE} = {quoted(value)} is not a list of tables; give each one as a table in double brackets")
+        return tuple(read(f"{HERE}[{i}]", self.section, one, **context) for i, one in enumerate(value))
+
+
 def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
     """Returns a value of a table that is the value of a key; messages name the table, too."""
     try:
@@ -359,6 +370,31 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         return _adapter(section).validate_python(given, context=context)
     except ValidationError as error:
         raise InputError(_message(where, section, given, error.errors(include_url=False)[0])) from None
+
+
+def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
+    """Returns a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line, where a number may be without its unit.
+
+    Args:
+        where: name of the section, for messages.
+        names: the allowed names; those of all keys by default.
+
+    Raises:
+        InputError: the text has another form, or a name or a value is not allowed.
+    """
+    known, given = keys(section), dict[str, Any]()
+    with error_in(where):
+        for part in text.split(":")[1:]:
+            name, equals, value = part.partition("=")
+            if not equals or name not in (names or known):
+                raise InputError(f"{part!r} is not a setting NAME=VALUE; NAME must be one of {listing(names or known)}")
+            if name in given:
+                raise InputError(f"{name} is given twice, as {given[name]!r} and as {value!r}; give it once")
+            given[name] = value
+        numbers = {
+            name: setting(name, given[name], key.unit) for name, key in known.items() if isinstance(key, SI) and name in given
+        }
+    return read(where, section, given | numbers)
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """Units as people write them, `90 km/h`, `22 N/mm`, `8 Hz`: the one table of units of files, options and tables."""
 
+import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction  # so that 35 mm are 0.035 m, without rounding between
@@ -95,6 +96,21 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     number = quantity(value, unit, what)
     if match and not match[2]:
         raise InputError(f"{what} = {quoted(value)} has no unit; add the unit, as in {_example(unit)}, or omit the quotes")
+    return number
+
+
+def setting(name: str, value: str, unit: str = "1") -> float:
+    """Returns a number that is given as text, maybe with its unit, in a unit.
+
+    Raises:
+        InputError: the value is not a finite number, or its unit is unknown or of another dimension.
+    """
+    try:
+        number = float(value)
+    except ValueError:
+        number = quantity(value, unit, name)
+    if not math.isfinite(number):
+        raise InputError(f"{name} = {value!r} is not a finite number")
     return number
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
-from models.common.checks import Positive, check
+from models.common.checks import Positive, PositiveTime, check
 from models.common.errors import InputError
 from models.common.printed import entry, rough
 
@@ -60,8 +60,8 @@ class LinearLaw:
                     f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D has shape {(m, q)}: one row for "
                     "each force and one column for each measured signal"
                 )
-        for name in ("sample_period", "anti_windup"):
-            object.__setattr__(self, name, check(name, getattr(self, name), Positive | None))
+        object.__setattr__(self, "sample_period", check("sample_period", self.sample_period, PositiveTime | None))
+        object.__setattr__(self, "anti_windup", check("anti_windup", self.anti_windup, Positive | None))
 
     @property
     def states(self) -> int:

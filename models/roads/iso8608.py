@@ -25,27 +25,24 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields
-from models.common.errors import InputError, number_range
+from models.common.errors import InputError
+from models.common.schema import MOST_SEED, SI, Integer, Section, Text
+from models.common.units import setting
 from models.roads.iri import slope_density
-from models.roads.road import Road, check_numbers
+from models.roads.road import Road
 from models.roads.spectrum import N0, Spectrum, coherency
 from models.vehicle.names import CLASSES
 
 LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
 LENGTH = 1024.0  # m
-MOST_SEED = 2**63 - 1
-IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
-LIMITS = {  # SI
-    **{"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6), "factor": (-1e9, 1e9), "gd": (1e-12, 1.0)},
-    "waviness": (1.0, 4.0),
-}
-BAND_LIMITS = (1e-3, 100.0)  # cycle/m
+IRI = SI("m/km", "mean IRI of such roads before the factor, instead of a class", 0.01, 300.0)  # class H has 200
+BAND = (1e-3, 100.0)  # cycle/m
 BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
 FEW = 10  # times; more, if evenly spaced, are faster by transform
 FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
@@ -70,77 +67,66 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
     Raises:
         InputError: no road has such an IRI.
     """
-    if not IRI_LIMITS[0] <= iri <= IRI_LIMITS[1]:
-        raise InputError(f"road iri = {iri:g} is not allowed; give {number_range(*IRI_LIMITS, 'm/km')}")
-    return slope_density(iri, lowest, highest, waviness) / (2 * np.pi * N0) ** 2
-
-
-def check_seed(seed: Any) -> int:
-    """Returns the seed if it is one.
-
-    Raises:
-        InputError: the seed is not an integer, or is out of range.
-    """
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MOST_SEED:
-        raise InputError(f"seed = {seed!r} is not allowed; give an integer from 0 to {MOST_SEED}")
-    return seed
+    return slope_density(IRI.number("road iri", iri), lowest, highest, waviness) / (2 * np.pi * N0) ** 2
 
 
 @dataclass(frozen=True)
-class Iso8608(Road):
+class Iso8608(Section, Road):
     """Random road of a class.
 
     The same seed and length are the same road on every machine, to the rounding of its sines: phases are the raw output of the
     Philox generator, which numpy keeps as it is. At time 0 the first wheel comes from flat ground onto the road at its own height
     there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
 
-    Attributes:
-        road_class: "A" to "H", or a limit such as "A/B"; empty if `iri` or `gd` is given.
-        seed: seed of the phases.
-        speed: V [m/s].
-        track_width: lateral distance from the right track to the left [m].
-        length: distance after which it repeats [m]; another length is another road.
-        factor: factor on the heights.
-        iri: mean IRI of such roads [m/km], before the factor, instead of a class; else None.
-        gd: G_d(n0) [m3], before the factor, instead of a class; else None.
-        waviness: w.
-        lowest, highest: spatial frequencies of the first and the last line [cycle/m].
-
     Raises:
         InputError: an unknown class, more than one of class, IRI and G_d(n0), a band without lines, a seed that is not an
-            integer, another number beyond `LIMITS`.
+            integer, another number out of its range.
     """
 
-    units: ClassVar[Mapping[str, str]] = dict.fromkeys(("lowest", "highest"), "1/m")
-    road_class: str = "C"
-    seed: int = 0
-    speed: float = 20.0
-    track_width: float = 0.0
-    length: float = LENGTH
-    factor: float = 1.0
-    iri: float | None = None
-    gd: float | None = None
-    waviness: float = 2.0
-    lowest: float = LOWEST
-    highest: float = HIGHEST
+    settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")  # names of its numbers in a text
+    road_class: Annotated[
+        str, Text("`class` in a text: `A` to `H`, or a limit such as `A/B`; empty if `iri` or `gd` is given")
+    ] = "C"
+    seed: Annotated[int, Integer("seed of the phases", high=MOST_SEED)] = 0
+    speed: Annotated[float, SI("m/s", "speed of the vehicle", 0.1, 200.0)] = 20.0
+    track_width: Annotated[float, SI("m", "lateral distance from the right track to the left", 0.0, 10.0)] = 0.0
+    length: Annotated[float, SI("m", "distance after which it repeats; another length is another road", 100.0, 1e6)] = LENGTH
+    factor: Annotated[float, SI("1", "factor on the heights", -1e9, 1e9)] = 1.0
+    iri: Annotated[float, IRI] | None = None
+    gd: Annotated[float, SI("m3", "G_d(n0) before the factor, instead of a class", 1e-12, 1.0)] | None = None
+    waviness: Annotated[float, SI("1", "waviness w", 1.0, 4.0)] = 2.0
+    lowest: Annotated[
+        float, SI("1/m", "spatial frequency of the first line; in a text `band` has both, as in `band=0.011..2.83`", *BAND)
+    ] = LOWEST
+    highest: Annotated[float, SI("1/m", "spatial frequency of the last line", *BAND)] = HIGHEST
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, "road ")
         given = {name: value for name, value in self._rough.items() if value is not None}
         if len(given) > 1:
             several = " and ".join(
                 f"{name} = {value if isinstance(value, str) else f'{value:g}'}" for name, value in given.items()
             )
             raise InputError(f"this road has {several}; give only one of them as its roughness")
-        check_seed(self.seed)
-        check_numbers("road", self, {name: limits for name, limits in LIMITS.items() if name != "gd" or self.gd is not None})
-        low, high = BAND_LIMITS
-        if not (low <= self.lowest < self.highest <= high and len(self.n) > 1):
-            band = f"{self.lowest:g}..{self.highest:g}"
+        if not (self.lowest < self.highest and len(self.n) > 1):
+            band, (low, high) = f"{self.lowest:g}..{self.highest:g}", BAND
             raise InputError(
                 f"road band = {band} is not allowed; give both ends, the lower one first, from {low:g} to {high:g} cycle/m"
             )
         _ = self.roughness
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the table with `class` as a field's name, class C by default, and both ends of `band`, as in 0.011..2.83."""
+        fields = {name: value for name, value in given.items() if name not in ("class", "band", "roughness")}
+        if "road_class" not in given:
+            fields["road_class"] = given.get("class", "" if {"iri", "gd"} & given.keys() else "C")
+        if "band" in given:
+            ends = str(given["band"]).split("..")
+            if len(ends) != 2:
+                raise InputError(f"band = {given['band']!r} is not allowed; give both ends, as in band=0.011..2.83")
+            fields |= {name: setting("band", end, "1/m") for name, end in zip(("lowest", "highest"), ends, strict=True)}
+        return fields
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Sums the lines, from the road's own height at the start. A vehicle with one track drives on the left one."""

@@ -16,18 +16,23 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import SETTINGS, check_fields
-from models.common.errors import InputError, number_range
+from models.common.checks import check_fields
+from models.common.errors import InputError
+from models.common.schema import SI, Section
 from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
-AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; a load takes time to rise, as no time step could follow a jump
+Start = Annotated[float, SI("s", "begin of the rise", 0.0, 1e6)]
+Rise = Annotated[float, SI("s", "duration of the rise, and of the fall; no timestep could follow a jump", 1e-3, 1e6)]
+Hold = Annotated[float, SI("s", "time between rise and fall; infinite for a load that stays", 0.0, math.inf)]
+X = Annotated[float, SI("m", "place, forward of the body's centre of mass", -20.0, 20.0)]
+Y = Annotated[float, SI("m", "place, to the left of the body's centre of mass", -20.0, 20.0)]
 
 
 class Load(ABC):
@@ -78,21 +83,18 @@ class Load(ABC):
 
 
 @dataclass(frozen=True)
-class Ramped(Load):
+class Ramped(Section, Load):
     """Load that rises, stays and falls: half periods of a cosine up and down.
 
-    Attributes:
-        start: begin of the rise [s].
-        rise: duration of the rise, and of the fall [s].
-        hold: time between them [s]; infinite for a load that stays.
-
     Raises:
-        InputError: a number beyond its limits.
+        InputError: a number out of its range, or in a unit of another dimension.
     """
 
     kind: ClassVar[str]
     size: ClassVar[str]  # name of the field that a factor on the load multiplies
-    limits: ClassVar[Mapping[str, tuple[float, float]]]
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"{self.kind} ")
 
     def scaled(self, factor: float) -> Self:
         """Returns the load larger or smaller."""
@@ -106,15 +108,6 @@ class Ramped(Load):
     @abstractmethod
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns its largest values, by the names of the body's loads [N, N m]."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        limits = {**self.limits, "start": BEFORE, "rise": AFTER, "hold": (0.0, math.inf)}
-        for name, (smallest, largest) in limits.items():
-            value = getattr(self, name)
-            if not smallest <= value <= largest:  # NaN is in no range
-                allowed = number_range(smallest, largest, SETTINGS[name].removeprefix("g"))
-                raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give {allowed}")
 
     @property
     def text(self) -> str:
@@ -146,8 +139,6 @@ class Ramped(Load):
         return {name: amplitude * share for name, amplitude in full.items()}
 
 
-G = (-2.0, 2.0)  # of a road vehicle's deceleration
-FORCE, PLACE = (-1e6, 1e6), (-20.0, 20.0)  # N, m
 NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
 
 
@@ -166,7 +157,6 @@ class _Inertial(Ramped):
 
     way: ClassVar[str]
     size: ClassVar[str] = "g"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
     g: float
 
     @property
@@ -185,34 +175,26 @@ class _Inertial(Ramped):
 
 @dataclass(frozen=True)
 class Brake(_Inertial):
-    """Braking; below 0 it is acceleration, and the body squats.
-
-    Attributes:
-        g: deceleration over that of gravity.
-    """
+    """Braking; below 0 it is acceleration, and the body squats."""
 
     kind: ClassVar[str] = "brake"
     way: ClassVar[str] = PITCH
-    g: float = 0.5
-    start: float = 0.5
-    rise: float = 0.2
-    hold: float = math.inf
+    g: Annotated[float, SI("g", "deceleration over that of gravity", -2.0, 2.0)] = 0.5
+    start: Start = 0.5
+    rise: Rise = 0.2
+    hold: Hold = math.inf
 
 
 @dataclass(frozen=True)
 class Cornering(_Inertial):
-    """Curve to the left, which rolls the body to the right; below 0 to the right.
-
-    Attributes:
-        g: lateral acceleration over that of gravity.
-    """
+    """Curve to the left, which rolls the body to the right; below 0 to the right."""
 
     kind: ClassVar[str] = "corner"
     way: ClassVar[str] = ROLL
-    g: float = 0.3
-    start: float = 0.5
-    rise: float = 0.5
-    hold: float = math.inf
+    g: Annotated[float, SI("g", "lateral acceleration over that of gravity", -2.0, 2.0)] = 0.3
+    start: Start = 0.5
+    rise: Rise = 0.5
+    hold: Hold = math.inf
 
 
 def _pushed(force: float, x: float, y: float) -> dict[str, float]:
@@ -234,22 +216,16 @@ class _Placed(Ramped):
 
 @dataclass(frozen=True)
 class Payload(_Placed):
-    """Added weight.
-
-    Attributes:
-        mass: payload mass [kg]; a negative mass is removed.
-        x, y: place, forward and to the left of the body's centre of mass [m].
-    """
+    """Added weight."""
 
     kind: ClassVar[str] = "payload"
     size: ClassVar[str] = "mass"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"mass": (-1e5, 1e5), "x": PLACE, "y": PLACE}
-    mass: float = 100.0
-    x: float = 0.0
-    y: float = 0.0
-    start: float = 0.5
-    rise: float = 0.5
-    hold: float = math.inf
+    mass: Annotated[float, SI("kg", "payload mass; a negative mass is removed", -1e5, 1e5)] = 100.0
+    x: X = 0.0
+    y: Y = 0.0
+    start: Start = 0.5
+    rise: Rise = 0.5
+    hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force down, and its moments."""
@@ -258,22 +234,16 @@ class Payload(_Placed):
 
 @dataclass(frozen=True)
 class Lift(_Placed):
-    """Aerodynamic lift.
-
-    Attributes:
-        force: upward force [N]; a negative force is downforce.
-        x, y: place, as of a payload [m].
-    """
+    """Aerodynamic lift."""
 
     kind: ClassVar[str] = "lift"
     size: ClassVar[str] = "force"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "x": PLACE, "y": PLACE}
-    force: float = 500.0
-    x: float = 0.0
-    y: float = 0.0
-    start: float = 0.5
-    rise: float = 0.5
-    hold: float = math.inf
+    force: Annotated[float, SI("N", "upward force; a negative force is downforce", -1e6, 1e6)] = 500.0
+    x: X = 0.0
+    y: Y = 0.0
+    start: Start = 0.5
+    rise: Rise = 0.5
+    hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force up, and its moments."""
@@ -282,21 +252,15 @@ class Lift(_Placed):
 
 @dataclass(frozen=True)
 class Gust(Ramped):
-    """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
-
-    Attributes:
-        force: force to the right [N]; a negative force acts to the left.
-        height: height above the ground at which the force acts [m].
-    """
+    """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right."""
 
     kind: ClassVar[str] = "gust"
     size: ClassVar[str] = "force"
-    limits: ClassVar[Mapping[str, tuple[float, float]]] = {"force": FORCE, "height": (0.0, 20.0)}
-    force: float = 1000.0
-    height: float = 0.8
-    start: float = 0.5
-    rise: float = 0.3
-    hold: float = 0.0
+    force: Annotated[float, SI("N", "force to the right; a negative force acts to the left", -1e6, 1e6)] = 1000.0
+    height: Annotated[float, SI("m", "height above the ground at which the force acts", 0.0, 20.0)] = 0.8
+    start: Start = 0.5
+    rise: Rise = 0.3
+    hold: Hold = 0.0
 
     @property
     def ways(self) -> tuple[str, ...]:

@@ -1,19 +1,16 @@
 """Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file over time, as on a command line, in a campaign file or a log."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import SETTINGS
 from models.common.errors import InputError, listing
 from models.common.files import path_from, reading
-from models.common.printed import settings
+from models.common.schema import read_text
 from models.common.table import find_table
-from models.common.units import quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.roads.road import means
@@ -140,12 +137,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")
-    load = LOADS[kind]
-    try:
-        given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: setting(name, value, SETTINGS[name]) for name, value in given.items()})
-    except InputError as error:
-        raise InputError(f"load {text!r}: {error}") from error
+    return read_text(f"load {text!r}:", LOADS[kind], colon + rest)
 
 
 def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
@@ -170,18 +162,3 @@ def choose_described(text: str) -> Load:
     if text.partition(":")[0] not in LOADS:
         raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")
     return choose_load(text)
-
-
-def setting(name: str, value: str, unit: str = "1") -> float:
-    """Returns a number that is given as text, maybe with its unit, in a unit.
-
-    Raises:
-        InputError: the value is not a finite number, or its unit is unknown or of another dimension.
-    """
-    try:
-        number = float(value)
-    except ValueError:
-        number = quantity(value, unit, name)
-    if not math.isfinite(number):
-        raise InputError(f"{name} = {value!r} is not a finite number")
-    return number

@@ -2,15 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import is_finite
 from models.common.errors import InputError
-from models.roads.road import LIMITS, Bump, Obstacle, Road, ScaledRoad, check_numbers
-from models.roads.sinusoids import START, Sine, SineSweep
+from models.common.schema import SI
+from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
+from models.roads.sinusoids import Sine, SineSweep, Start
 
 AT_ONCE = 1e-9  # s: rounding of a time at a vertical edge
 
@@ -21,24 +21,18 @@ class WattsHump(Obstacle):
 
     G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597: 3.7 m long, 25 to 100 mm high.
 
-    Attributes:
-        height: height of the hump [m].
-        length: length of the hump [m].
-        speed: V [m/s].
-
     Raises:
-        InputError: a number beyond `LIMITS`; an arc of more than half a circle.
+        InputError: a number out of its range; an arc of more than half a circle.
     """
 
     kind: ClassVar[str] = "watts_hump"
-    height: float = 0.1
-    length: float = 3.7
-    speed: float = 8.0
+    height: Annotated[float, SI("m", "height, at most half of the length", 1e-6, 5e3)] = 0.1
+    length: Length = 3.7
+    speed: Speed = 8.0
 
     def __post_init__(self) -> None:
-        check_numbers("watts_hump", self, {"length": LIMITS["length"], "speed": LIMITS["speed"]})
-        _check_length(self, "watts_hump", "height", "twice its height of")
-        check_numbers("watts_hump", self, {"height": (1e-6, self.length / 2)})
+        super().__post_init__()
+        _check_half(self, "height", 1e-6, "twice its height of")
 
     @property
     def radius(self) -> float:
@@ -80,26 +74,20 @@ class Step(Obstacle):
 
     A vertical edge is a jump of the height: an impulse of its velocity in the linear response, between two samples in MuJoCo.
 
-    Attributes:
-        height: height, negative for a step down [m].
-        edge: length over which it rises [m]; 0 for a vertical one.
-        speed: V [m/s].
-        start: time at which the first wheel reaches the edge [s].
-
     Raises:
-        InputError: a number beyond its limits.
+        InputError: a number out of its range; an edge that is shorter than a length can be, and not 0.
     """
 
     kind: ClassVar[str] = "step"
-    height: float = 0.05
-    edge: float = 0.2
-    speed: float = 8.0
-    start: float = 0.0
+    height: Annotated[float, SI("m", "height, negative for a step down", -10.0, 10.0)] = 0.05
+    edge: Annotated[float, SI("m", "length over which it rises; 0 for a vertical step", 0.0, 1e4)] = 0.2
+    speed: Speed = 8.0
+    start: Start = 0.0
 
     def __post_init__(self) -> None:
-        check_numbers("step", self, {"height": LIMITS["height"], "speed": LIMITS["speed"], "start": START})
-        if not (isinstance(self.edge, float | int) and self.edge == 0):
-            check_numbers("step", self, {"edge": LIMITS["length"]})
+        super().__post_init__()
+        if self.edge:
+            SI("m", low=1e-3, high=1e4).number("step edge", self.edge)
 
     @property
     def rise(self) -> float:
@@ -142,29 +130,21 @@ class Step(Obstacle):
 class Pothole(Obstacle):
     """Step down, and another one up again, under one side or both.
 
-    Attributes:
-        depth: depth of the pothole [m].
-        length: distance from the beginning of the first edge to the end of the second [m].
-        edge: length of each edge [m].
-        speed: V [m/s].
-        track: side of the road: "left", "right" or "both".
-
     Raises:
-        InputError: a number beyond its limits; edges longer than the pothole.
+        InputError: a number out of its range; edges longer than the pothole.
     """
 
     kind: ClassVar[str] = "pothole"
     tall: ClassVar[tuple[str, ...]] = ("depth",)
-    depth: float = 0.05
-    length: float = 1.0
-    edge: float = 0.2
-    speed: float = 8.0
-    track: str = "both"
+    depth: Annotated[float, SI("m", "depth", -10.0, 10.0)] = 0.05
+    length: Annotated[float, SI("m", "distance from the beginning of the first edge to the end of the second", 1e-3, 1e4)] = 1.0
+    edge: Annotated[float, SI("m", "length of each edge, at most half of the length", 1e-3, 5e3)] = 0.2
+    speed: Speed = 8.0
+    track: Track = "both"
 
     def __post_init__(self) -> None:
-        check_numbers("pothole", self, {"depth": LIMITS["height"], "length": LIMITS["length"], "speed": LIMITS["speed"]})
-        _check_length(self, "pothole", "edge", "its two edges of")
-        check_numbers("pothole", self, {"edge": (LIMITS["length"][0], self.length / 2)})
+        super().__post_init__()
+        _check_half(self, "edge", 1e-3, "its two edges of")
 
     @property
     def duration(self) -> float:
@@ -197,21 +177,11 @@ class Pothole(Obstacle):
 
 @dataclass(frozen=True)
 class Flat(Obstacle):
-    """Flat road, for a vehicle that is excited by loads alone.
-
-    Attributes:
-        speed: V [m/s].
-
-    Raises:
-        InputError: a number beyond its limits.
-    """
+    """Flat road, for a vehicle that is excited by loads alone."""
 
     kind: ClassVar[str] = "flat"
     tall: ClassVar[tuple[str, ...]] = ()
-    speed: float = 20.0
-
-    def __post_init__(self) -> None:
-        check_numbers("flat", self, {"speed": LIMITS["speed"]})
+    speed: Speed = 20.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns zero."""
@@ -227,12 +197,13 @@ class Flat(Obstacle):
         return ()
 
 
-def _check_length(road: WattsHump | Pothole, kind: str, other: str, least: str) -> None:
-    """Refuses a length below twice another number that has its default, and so is not what was given."""
+def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -> None:
+    """Checks that a number is at most half of the length. With its default, it is not what was given: the length is."""
     usual, value = getattr(type(road), other), getattr(road, other)
-    if is_finite(value) and value == usual and road.length < 2 * usual:
-        short = f"{kind} length = {road.length:g} m is less than {least} {usual:g} m"
+    if value == usual and road.length < 2 * usual:
+        short = f"{road.kind} length = {road.length:g} m is less than {least} {usual:g} m"
         raise InputError(f"{short}; give at least {2 * usual:g} m, or {other}={road.length / 2:g} or less")
+    SI("m", low=low, high=road.length / 2).number(f"{road.kind} {other}", value)
 
 
 # By their names on a command line, in a campaign file or in a log.

@@ -4,14 +4,15 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
-from models.common.errors import InputError, quoted
-from models.roads.road import LIMITS, MeasuredRoad, check_numbers
+from models.common.errors import InputError
+from models.common.schema import Choice
+from models.roads.road import MeasuredRoad, Speed
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ OFTEN = 0.05  # of the points: sorted so badly, a distance may be a coordinate
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
 JOINS = ("straight", "smooth")
+Join = Annotated[str, Choice("how points are joined", JOINS)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +53,13 @@ class Profile(MeasuredRoad):
 
     distance: Array
     heights: Array
-    speed: float = 20.0
+    speed: Speed = 20.0
     source: str = field(default="")
-    join: str = "straight"
+    join: Join = JOINS[0]
     note: str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_numbers("profile", self, {"speed": LIMITS["speed"]})
-        if self.join not in JOINS:
-            raise InputError(f"profile join = {quoted(self.join)} is unknown; give {' or '.join(JOINS)}")
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:

@@ -15,8 +15,9 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,16 +25,17 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.printed import percent, rough
-from models.common.quantities import UNREAD, Heading, check_unit_options, columns_in_words, left_out_words
+from models.common.quantities import UNREAD, Heading, columns_in_words, left_out_words
+from models.common.schema import HERE, LARGEST, SI, Choice, Key, Section
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
-from models.common.units import unit_size
-from models.roads.load_choice import setting
-from models.roads.profile import Profile, check_points
+from models.common.units import LENGTH, setting, unit_size
+from models.roads.profile import JOINS, Join, Profile, check_points
 
 READ = ("distance", "height", "left", "right")
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
-UNITS = {"distance_unit": "distance", "height_unit": "height"}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
+GIVE_COLUMNS = "give two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
+UNITS = tuple(LENGTH)
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
 SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
@@ -55,41 +57,67 @@ APART = 100.0  # m between the heights of two tracks
 SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and over the distance
 
 
-def read_profile(path: Path, speed: float, settings: Mapping[str, str] | None = None) -> Profile:
+@dataclass(frozen=True)
+class Columns(Key):
+    """Numbers of columns, from 1, as in 1,3."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
+        """Returns the columns, from 0."""
+        if not isinstance(value, str) or not COLUMNS.fullmatch(value):
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; {GIVE_COLUMNS}")
+        return tuple(int(column) - 1 for column in value.split(","))
+
+
+@dataclass(frozen=True)
+class TableSettings(Section):
+    """Settings of a road from a file."""
+
+    start: Annotated[float, SI("m", "`from`, the distance at which the vehicle starts", low=-LARGEST)] | None = None
+    distance_unit: Annotated[str, Choice("unit of distances without a unit in the heading; default: m", UNITS)] = ""
+    height_unit: Annotated[str, Choice("unit of heights without a unit in the heading; default: m", UNITS)] = ""
+    unit: Annotated[str, Choice("the same as `height_unit`", UNITS)] = ""
+    separator: Annotated[str, Choice("separator of columns; default: found in the file", tuple(SEPARATORS))] = ""
+    columns: Annotated[tuple[int, ...], Columns("columns of distance and height, or distance, left and right")] = ()
+    step: Annotated[float, SI("m", "constant spacing of the rows, of height, or left and right")] | None = None
+    join: Join = JOINS[0]
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the settings with another name for `from`, which Python reserves."""
+        start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
+        return {name: value for name, value in given.items() if name != "from"} | start
+
+    def __post_init__(self) -> None:
+        if self.step is None and len(self.columns) == 1:
+            raise InputError(f"columns = {self.columns[0] + 1} is not allowed; {GIVE_COLUMNS}")
+
+
+def read_profile(path: Path, speed: float, given: TableSettings = TableSettings()) -> Profile:
     """Reads a profile from a text file. Its headings may give the quantity and the unit of each column.
 
     Args:
         speed: vehicle speed [m/s].
-        settings: values by name. `distance_unit` and `height_unit` are for headings without a unit, by default m. `separator` is
-            one of `SEPARATORS`. `columns` are those of distance and height, or distance, left and right, from 1;
-            with a `step` [m], the constant spacing of the rows, of height, or left and right. `unit` is `height_unit`.
+        given: settings for headings that are absent or have no unit.
 
     Raises:
-        InputError: a setting is wrong, the file cannot be read, or its numbers do not make a road. The message has file and line.
+        InputError: the file cannot be read, or its numbers do not make a road. The message has file and line.
     """
-    given = dict(settings or {})
-    if "unit" in given:
-        given["height_unit"] = given.pop("unit")
-    check_unit_options(given, UNITS)
-    if given.get("separator", "comma") not in SEPARATORS:
-        raise InputError(f"separator = {given['separator']!r} is unknown; give one of {listing(SEPARATORS)}")
-    if not COLUMNS.fullmatch(given.get("columns", "1,2")) or ("step" not in given and "," not in given.get("columns", ",")):
-        example = "two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
-        raise InputError(f"columns = {given['columns']!r} is not allowed; give {example}")
     with reading(path, "road file", FORMAT):
         text = table_text(path)
         if text.startswith(ERD):
             text, step = erd_text(text)
-            given = {"step": step} | given
+            given = given if given.step is not None else replace(given, step=SI("m").number("step", setting("step", step, "m")))
         if path.suffix.lower() != ".rdf":
             return _profile(text, speed, str(path), given)
         whole = _profile(rdf_text(text), speed, str(path), given)
-        return whole.begun_at(0.0) if whole.distance[0] < 0 < whole.distance[-1] and "from" not in given else whole
+        return whole.begun_at(0.0) if whole.distance[0] < 0 < whole.distance[-1] and given.start is None else whole
 
 
-def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> Profile:
-    wanted, stepped = [int(column) - 1 for column in given.get("columns", "").split(",") if column], "step" in given
-    table = find_table(text, FORMAT, given.get("separator", ""), (wanted or [0])[0])
+def _profile(text: str, speed: float, source: str, given: TableSettings) -> Profile:
+    wanted, step, stepped = given.columns, given.step, given.step is not None
+    table = find_table(text, FORMAT, given.separator, (wanted or [0])[0])
     headings = table.headings(("m",), optional=True)
     headings += [Heading(column=i + 1) for i in range(table.count, max(wanted, default=0) + 1)]
     place = _coordinates(headings, wanted) if not stepped else []
@@ -100,13 +128,10 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
     points, lines = table.numbers(used, ragged=bool(wanted))
     note = left_out_words(headings, [i + 1 for i in (*used, *place[: 2 * path])])
 
-    height_unit, unit = given.get("height_unit", ""), given.get("distance_unit", "")
+    height_unit, unit = given.unit or given.height_unit, given.distance_unit
     scales = [headings[i].scale("distance", "height_unit", height_unit, "m") for i in used[not stepped :]]
     heights = points[:, [-len(scales), -1]] * [scales[0], scales[-1]]
-    if stepped:
-        step = setting("step", given["step"], "m")
-        if not step > 0:
-            raise InputError(f"step = {given['step']!r} is not allowed; give the spacing of the heights, as in step=0.25")
+    if step is not None:
         if len(used) == 2 and not wanted and not headings[used[0]].quantity and _is_distance(points[:, 0], step):
             raise InputError(STEPPED)
         distance = step * np.arange(len(points))
@@ -118,12 +143,12 @@ def _profile(text: str, speed: float, source: str, given: Mapping[str, str]) -> 
         distance = points[:, 0] * headings[used[0]].scale("distance", "distance_unit", unit, "m")
         note += _other_length(table, [headings[i] for i in place], distance, headings[used[0]], bool(wanted))
     if len(used) == 3 and not any(headings[i].name for i in used):
-        if table.separator == "," and not given.keys() & {"separator", "columns"}:
+        if table.separator == "," and not (given.separator or wanted):
             _check_commas(table)
         _check_tracks(distance, heights, table.first + 1)
     check_points(distance, heights, lambda i: f"line {lines[i]}")
     spacing = float(np.median(np.diff(distance)))
-    known = stepped or "distance_unit" in given or headings[used[0]].unit or (path and _in_degrees([headings[i] for i in place]))
+    known = stepped or given.distance_unit or headings[used[0]].unit or (path and _in_degrees([headings[i] for i in place]))
     if spacing > WIDEST and not known:
         raise InputError(
             f"the points are {spacing:.3g} m apart if the distances, which have no unit, are in m; give their unit, as in "

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import SETTINGS, Must, as_number, check, is_finite, plain
-from models.common.errors import InputError, number_range, quoted
+from models.common.checks import check_fields
+from models.common.errors import InputError
 from models.common.plausibility import Known, remarks
+from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
@@ -20,7 +21,10 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
-Track = Annotated[str, Must("left, right or both", lambda value: value in ("left", "right", "both"))]
+HIGHEST = 10.0  # m
+Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
+Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
+Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]
 STEADY = 1e-12  # of the largest state, or term of a signal, in steady motion; what is smaller is rounding
 LOWEST = 1e-5  # m; the effect of a lower road is lost in the rounding of a vehicle's weight
 
@@ -49,6 +53,11 @@ class Road(ABC):
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns the delay of a wheel after the first one [s]."""
         return wheel.behind(parameters) / self.speed
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the numbers in its description, by name."""
+        return {name: key.unit for name, key in keys(type(self)).items()} if isinstance(self, Section) else {}
 
     @property
     def spectrum(self) -> "Spectrum | None":
@@ -129,8 +138,7 @@ class Road(ABC):
     def words(self) -> str:
         """The description on a line for people, without long lists."""
         kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list) and value != ""]
-        # A road of points has heights from lowest to highest, a random one has frequencies.
-        units = UNITS | dict.fromkeys(("lowest", "highest"), "m") if "points" in dict(short) else UNITS
+        units = self.units
         number = [
             f"{key} {value:g} {units.get(key, '')}".rstrip() if isinstance(value, float) else f"{key} {value}"
             for key, value in short
@@ -162,35 +170,19 @@ class Road(ABC):
             )
 
 
-LIMITS = {"height": (-10.0, 10.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
-UNITS = {**SETTINGS, "phase": "degrees"}
-
-
-def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
-    """Refuses a road with a number beyond its limits (smallest, largest), by name, or on an unknown track.
-
-    A text with a number and its unit becomes the number.
+@dataclass(frozen=True)
+class Obstacle(Section, Road):
+    """Road that a few numbers describe: its fields, the keys of its text, its table and its record in a log.
 
     Raises:
-        InputError: a number out of range, a wrong unit, or an unknown track; the message contains its name and the range.
+        InputError: a number out of its range, or in a unit of another dimension.
     """
-    for name, (smallest, largest) in limits.items():
-        value = as_number(plain(getattr(road, name)), UNITS.get(name, ""), f"{kind} {name}")
-        object.__setattr__(road, name, value)
-        if not is_finite(value) or not smallest <= value <= largest:
-            shown = f"{value:g}" if isinstance(value, int | float) else quoted(value)
-            raise InputError(
-                f"{kind} {name} = {shown} is not allowed; give {number_range(smallest, largest, UNITS.get(name, ''))}"
-            )
-    check(f"{kind} track", road.track, Track)
-
-
-@dataclass(frozen=True)
-class Obstacle(Road):
-    """Road that a few numbers describe: its fields."""
 
     kind: ClassVar[str]
     tall: ClassVar[tuple[str, ...]] = ("height",)  # fields that a factor on its heights multiplies
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"{self.kind} ")
 
     def describe(self) -> dict[str, float | str]:
         """Returns its kind under `type`, and its fields."""
@@ -203,26 +195,13 @@ class Obstacle(Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump (61): one period of a cosine. Defaults are the paper's (62).
-
-    Attributes:
-        height: A [m].
-        length: L [m].
-        speed: V [m/s].
-        track: the side that it lies under: "left", "right" or "both".
-
-    Raises:
-        InputError: a number beyond `LIMITS`: a bump of no length, a vehicle that stands still.
-    """
+    """Isolated bump (61): one period of a cosine. Defaults are the paper's (62)."""
 
     kind: ClassVar[str] = "bump"
-    height: float = BUMP_HEIGHT
-    length: float = BUMP_LENGTH
-    speed: float = BUMP_SPEED
-    track: str = "both"
-
-    def __post_init__(self) -> None:
-        check_numbers("bump", self, LIMITS)
+    height: Annotated[float, SI("m", "height", -HIGHEST, HIGHEST)] = BUMP_HEIGHT
+    length: Length = BUMP_LENGTH
+    speed: Speed = BUMP_SPEED
+    track: Track = "both"
 
     @property
     def duration(self) -> float:
@@ -269,6 +248,11 @@ class DerivedRoad(Road):
         return self.road.track
 
     @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the road's description."""
+        return self.road.units
+
+    @property
     def duration(self) -> float:
         """Duration of the road [s]."""
         return self.road.duration
@@ -307,6 +291,11 @@ class MeasuredRoad(Road):
 
     Heights are measured from one datum, the mean of the heights at the first contacts.
     """
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the numbers in its description."""
+        return {**dict.fromkeys(("from", "length", "lowest", "highest"), "m"), "duration": "s", "speed": "m/s"}
 
     @abstractmethod
     def start(self, side: str) -> tuple[float, float]:

@@ -1,38 +1,49 @@
 """Roads of sinusoids: sums, a single one, one for the worst case, and a sweep with rising frequency."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import LIMITS, Obstacle, Road, check_numbers
+from models.common.errors import InputError
+from models.common.schema import SI, Choice, Listed, Section
+from models.roads.road import Obstacle, Road, Speed
 
-START = (0.0, 1e4)  # s, when a road may begin
+Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
 
 
 @dataclass(frozen=True)
-class Multisine(Road):
+class Multisine(Section, Road):
     """Sum of sinusoids that begins at time 0 at its own height there; before, the road is flat.
 
-        z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
+    z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
-    Attributes:
-        omega: angular frequencies [rad/s], F of them.
-        amplitudes: a_i [m].
-        phases: phi_i [rad].
-        speed: forward velocity [m/s].
-        name: name in a log, one of `MULTISINES`.
     """
 
-    omega: tuple[float, ...]
-    amplitudes: tuple[float, ...]
-    phases: tuple[float, ...]
-    speed: float = 12.5
-    name: str = "multisine"
+    omega: Annotated[tuple[float, ...], Listed("angular frequencies, F of them", SI("rad/s"))]
+    amplitudes: Annotated[tuple[float, ...], Listed("amplitudes a_i", SI("m", low=-1e9, high=1e9))]
+    phases: Annotated[tuple[float, ...], Listed("phases phi_i", SI("rad", low=-1e12))]
+    speed: Annotated[float, SI("m/s", "speed of the vehicle", 0.0)] = 12.5
+    name: Annotated[str, Choice("name in a log", MULTISINES)] = MULTISINES[0]
+
+    def __post_init__(self) -> None:
+        if not len(self.omega) == len(self.amplitudes) == len(self.phases):
+            raise InputError(f"road {self.name}: omega, amplitudes and phases have different lengths; give lists of equal length")
+
+    @classmethod
+    def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns the keys of a description without those that follow from others."""
+        return {name: value for name, value in given.items() if name not in ("lines", "lowest", "highest", "rms")}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of its description."""
+        return {"lowest": "rad/s", "highest": "rad/s", "rms": "m", "speed": "m/s"}
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sum, the same on both sides."""
@@ -120,30 +131,17 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 class Sine(Obstacle):
     """Sine that begins at any phase, at its own height there; before, the road is flat.
 
-        z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
+    z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
 
-    Attributes:
-        amplitude: amplitude of the sine [m].
-        frequency: frequency of the sine [Hz].
-        phase: phase at the beginning [degrees].
-        speed: V [m/s]; it matters only for the delays of the rear wheels.
-        start: time at which the first wheel reaches the sine [s].
-
-    Raises:
-        InputError: a number beyond its limits.
     """
 
     kind: ClassVar[str] = "sine"
     tall: ClassVar[tuple[str, ...]] = ("amplitude",)
-    amplitude: float = 0.02
-    frequency: float = 1.0
-    phase: float = 0.0
-    speed: float = 20.0
-    start: float = 0.0
-
-    def __post_init__(self) -> None:
-        limits = {"amplitude": LIMITS["height"], "frequency": (0.001, 100.0), "phase": (-360.0, 360.0), "speed": LIMITS["speed"]}
-        check_numbers("sine", self, {**limits, "start": START})
+    amplitude: Annotated[float, SI("m", "amplitude", -10.0, 10.0)] = 0.02
+    frequency: Annotated[float, SI("Hz", "frequency", 0.001, 100.0)] = 1.0
+    phase: Annotated[float, SI("deg", "phase at the beginning", -360.0, 360.0)] = 0.0
+    speed: Speed = 20.0
+    start: Start = 0.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sine, the same on both sides."""
@@ -171,28 +169,21 @@ class SineSweep(Obstacle):
 
     So the road's velocity, to which a vehicle responds, has nearly the same amplitude at all frequencies.
 
-    Attributes:
-        amplitude: amplitude at the beginning [m].
-        lowest, highest: f at the beginning and at the end [Hz].
-        duration: time from the first frequency to the last [s]; then the road is level.
-        speed: V [m/s]; it matters only for the delays of the rear wheels.
-
     Raises:
-        InputError: a number beyond its limits.
+        InputError: a number out of its range; a last frequency that is not above the first.
     """
 
     kind: ClassVar[str] = "sweep"
     tall: ClassVar[tuple[str, ...]] = ("amplitude",)
-    amplitude: float = 0.02
-    lowest: float = 0.5
-    highest: float = 25.0
-    duration: float = 10.0  # pyright: ignore[reportIncompatibleMethodOverride]
-    speed: float = 20.0
+    amplitude: Annotated[float, SI("m", "amplitude at the beginning", -10.0, 10.0)] = 0.02
+    lowest: Annotated[float, SI("Hz", "first frequency", 0.01, 100.0)] = 0.5
+    highest: Annotated[float, SI("Hz", "last frequency", 0.01, 100.0)] = 25.0
+    duration: Annotated[float, SI("s", "time from the first frequency to the last; then the road is level", 0.1, 1e4)] = 10.0  # pyright: ignore[reportIncompatibleMethodOverride]
+    speed: Speed = 20.0
 
     def __post_init__(self) -> None:
-        limits = {"amplitude": LIMITS["height"], "lowest": (0.01, 100.0), "duration": (0.1, 1e4), "speed": LIMITS["speed"]}
-        check_numbers("sweep", self, limits)
-        check_numbers("sweep", self, {"highest": (self.lowest * 1.001, 100.0)})
+        super().__post_init__()
+        SI("Hz", low=self.lowest * 1.001, high=100.0).number("sweep highest", self.highest)
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sweep, the same on both sides; it stays at its last height."""

@@ -16,10 +16,10 @@ from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.common.printed import as_name, pasted, percent
 from models.common.toml_edit import section_lines
+from models.common.units import setting
 from models.document.document import Statement
 from models.document.field import Field
 from models.document.outputs import CAMPAIGN_SUM
-from models.roads.load_choice import setting
 from models.vehicle.in_place import with_sections
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle

@@ -17,6 +17,8 @@ from models.document.document import Document
 from models.document.outputs import check_outputs, written, written_lines
 from models.document.picture import write_picture
 from models.document.text import text_lines
+from models.roads.opencrg import Surface
+from models.roads.profile import Profile
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns
@@ -47,7 +49,10 @@ def run_campaign(options: argparse.Namespace) -> int:
     for road in campaign.roads:
         if road.profile is not None and (remark := road.profile.remark(max(campaign.speeds) * campaign.duration)):
             complain(f"remark: road {road.text!r}: {remark}")
-        if road.kind == "profile" and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts:
+        if (
+            isinstance(road.road, Profile | Surface)
+            and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
+        ):
             after = "it is straight from there on, which lowers every rms"
             complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
     request = requested(campaign, options.best, options.subject_to or (), options.save)

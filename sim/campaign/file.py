@@ -14,9 +14,11 @@ from models.common.arrays import Array
 from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, path_from, read_text
-from models.common.schema import SI, AnyTable, Integer, Key, Listed, Section, read
+from models.common.schema import MOST_SEED, SI, AnyTable, Integer, Key, Listed, Section, Text, read
 from models.roads.choice import RoadChoice, choose_road
-from models.roads.iso8608 import check_seed
+from models.roads.opencrg import Surface
+from models.roads.profile import Profile
+from models.roads.rig import Rig
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.samples import Values, read_samples
@@ -24,6 +26,7 @@ from sim.runs.run import sample_times
 
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 Texts = tuple[str, ...]
+MEASURED = {Profile: ("distance", "heights"), Rig: ("time", "heights"), Surface: ("u", "v", "z")}  # roads of files: their points
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,18 @@ class Seeds(Key):
         """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
         if not isinstance(value, list) or not value:
             return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
-        return tuple(check_seed(seed) for seed in value)
+        return Listed("", Integer("", high=MOST_SEED)).read(value, context)
+
+
+@dataclass(frozen=True)
+class RoadText(Key):
+    """A road as a text, or as a table whose `type` is the kind of road."""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> str:
+        """Returns the text."""
+        if isinstance(value, Mapping) and isinstance(value.get("type"), str):
+            value = ":".join([value["type"], *(f"{name}={one}" for name, one in value.items() if name != "type")])
+        return Text().read(value, context)
 
 
 @dataclass(frozen=True)
@@ -45,7 +59,7 @@ class CampaignFile(Section):
 
     vehicles: Annotated[Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles")]
     controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all")]
-    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them")]
+    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", RoadText())]
     speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0))]
     seeds: Annotated[tuple[int, ...], Seeds()] = (0,)
     duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
@@ -107,7 +121,7 @@ class Campaign:
     def digest(self) -> str:
         """Checksum of everything that decides the numbers: the file, and those that it names."""
         # Tables before surfaces, whatever their order: folders that are there know a campaign by this.
-        roads = sorted(self.roads, key=lambda road: road.surface is not None)
+        roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
         measured = [line for road in roads for line in _measured(road)]
         sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
         return hashlib.sha256(sources.encode()).hexdigest()
@@ -181,9 +195,8 @@ def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
 
 def _measured(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
-    arrays = [road.profile.distance, road.profile.heights] if road.profile else []
-    arrays += [road.rig.time, road.rig.heights] if road.rig else []
-    named = [*road.rig.posts] if road.rig else [road.profile.join] if road.profile else []
+    measured = road.road
+    arrays = [getattr(measured, name) for name in MEASURED.get(type(measured), ())]
+    named = [*measured.posts] if isinstance(measured, Rig) else [measured.join] if isinstance(measured, Profile) else []
     named += [load.content for load in road.loads if load.content != load.text]
-    arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]

@@ -14,8 +14,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.schema import SI, AnyTable, Choice, Integer, Section, read
-from models.roads.iso8608 import MOST_SEED
+from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
 from models.suspension.adjustable_dampers import Adjustable
 from models.suspension.damper import CURVED
 from models.vehicle.vehicle import Vehicle

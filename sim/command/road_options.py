@@ -11,7 +11,7 @@ from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
 from models.common.printed import percent, rough, wrapped
-from models.vehicle.names import CLASSES, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
+from models.vehicle.names import CLASSES, FILE, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -122,12 +122,13 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     """Returns the requested road, if it can be driven."""
     from models.roads.choice import choose_road
     from models.roads.load_choice import choose_load
+    from models.roads.rig import Rig
 
     choice = choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed selects a random road, but {choice.text!r} is not random; omit --seed")
-    if "speed" in options.given and choice.kind == "rig":
+    if "speed" in options.given and isinstance(choice.road, Rig):
         raise InputError("--speed does not apply to a test rig, on which the vehicle does not move; omit --speed")
     road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
     with error_in(f"road {choice.text!r}:"):
@@ -147,9 +148,8 @@ def gaps(road: "Road", duration: float) -> list[str]:
 
 def starts_later(options: argparse.Namespace) -> bool:
     """True if the vehicle is to start later on a road from a file than at its first point."""
-    from models.roads.choice import driven
-
-    return "from" in driven(split_off(road_text(options))[0])
+    file = FILE.fullmatch(split_off(road_text(options))[0])
+    return file is not None and ":from=" in file["settings"]
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:

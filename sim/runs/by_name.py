@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 from models import USUAL_TIMESTEP
-from models.common.checks import AT_LEAST_ONE, Must
+from models.common.checks import AT_LEAST_ONE, Must, Time
 from models.common.errors import InputError, listing
 from models.laws.python_law import of_function
 from models.roads.road import Road
@@ -25,8 +25,8 @@ def run(
     vehicle: Vehicle,
     controllers: ControllerLike | Annotated[Sequence[ControllerLike], AT_LEAST_ONE],
     road: Road,
-    duration: float = 3.0,
-    timestep: float = USUAL_TIMESTEP,
+    duration: Time = 3.0,
+    timestep: Time = USUAL_TIMESTEP,
 ) -> list[Run]:
     """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
 

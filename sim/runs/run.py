@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import Time
 from models.common.errors import InputError
 from models.common.plausibility import remarks
 from models.document.document import Block, Document
@@ -64,7 +65,7 @@ class Run(RunResult, Shown):
         return (signal_table(self), *([figure] if panels else []))
 
 
-def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
+def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     """Returns the sample times 0, h, 2 h, ... up to the duration [s].
 
     Args:

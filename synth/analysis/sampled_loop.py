@@ -32,7 +32,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, NotNegative, Positive, at_the_door, check_shape
+from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant, check_states
@@ -181,7 +181,7 @@ class HoldInterval(Checked):
         late: number of samples by which the acting force is delayed.
     """
 
-    duration: Positive
+    duration: PositiveTime
     late: Index
 
 
@@ -234,7 +234,7 @@ class SampledLoop(Checked):
     @classmethod
     @at_the_door
     def of_gain(
-        cls, plant: GeneralizedPlant, K: Matrix, Cy: Matrix, sample_period: Positive, delay: NotNegative = 0.0
+        cls, plant: GeneralizedPlant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0
     ) -> "SampledLoop":
         """Returns the loop of a gain, u = K y at every sample.
 

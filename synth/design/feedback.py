@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Bound, NotNegative, Positive
+from models.common.checks import Bound, NotNegative, Positive, PositiveTime
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import digits, percent
 from models.common.schema import read
@@ -116,7 +116,7 @@ def design_feedback(
     stable: bool = False,
     fastest_pole: Positive | None = None,
     noise: Sequence[float] = (),
-    sample_period: Positive | None = None,
+    sample_period: PositiveTime | None = None,
     delay: NotNegative = 0.0,
     minimise: Mapping[str, Any] | None = None,
     bounds: Sequence[Mapping[str, Any]] = (),

@@ -166,7 +166,7 @@ def test_a_source_with_a_grid(tmp_path, mine, capsys):
     ("old", "new", "said"),
     [
         ('what = "zero"', 'what = "root"', "what = 'root' is not allowed"),
-        ("licence =", 'sources = ["nobody"]\nlicence =', "unknown source 'nobody'"),
+        ("where =", "page = 1\nwhere =", r"entry.toml of mine: printed\[0\] unknown key 'page'; known keys: "),
         ("sprung_acceleration", "heave", "unknown signal 'heave'"),
         ("VEHICLE", "none.toml", "none.toml"),
     ],

@@ -242,8 +242,6 @@ def test_from_is_the_rest_of_the_file(tmp_path):
     for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={float(x[-1])!r}"):
         with refused(f"from = {float(text.split('=')[1]):g} m is not on the road; {whole}"):
             choose_road(text, tmp_path)
-    with refused("join = 'cubic' is unknown; give one of smooth, straight"):
-        choose_road("road.csv:join=cubic", tmp_path)
 
 
 @pytest.mark.parametrize(

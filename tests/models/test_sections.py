@@ -1,13 +1,20 @@
 """Every key of every section of a file: wrong types, ranges, units and spellings are refused in a line with section and key."""
 
+import math
 import pickle
 
 import pytest
 
 from models.common.errors import InputError
-from models.common.schema import SI, AnyTable, Flag, Integer, Key, keys, read, required
+from models.common.schema import SI, AnyTable, Choice, Flag, Integer, Key, keys, read, required
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
+from models.roads.iso8608 import Iso8608
+from models.roads.load import LOADS
+from models.roads.obstacles import OBSTACLES
+from models.roads.profile_file import TableSettings
+from models.roads.rig_file import RigSettings
+from models.roads.sinusoids import Multisine
 from models.suspension.bump_stops import StopSection
 from models.suspension.damper import ActuatorSection
 from models.vehicle.controllers import ControllerSection
@@ -15,11 +22,13 @@ from models.vehicle.limits_and_implementation import ImplementationSection, Limi
 from models.vehicle.payload import PayloadSection
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
+from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber
 
 CONTEXT = {
     "signals": {"sprung_velocity": "m/s"}, "measurable": ["sprung_velocity"], "heights": [], "corners": {"control_force": ""},
     "parameters": {"sprung_mass": "1"}, "loads": {"heave_load": "N"},
 }  # fmt: skip
+IN_PYTHON = [*OBSTACLES.values(), *LOADS.values(), Iso8608]  # which also check themselves
 SECTIONS = {  # each with a table that is right
     ImplementationSection: {"sample_period": 0.01},
     LimitsSection: {"actuator_force": 100.0},
@@ -36,6 +45,11 @@ SECTIONS = {  # each with a table that is right
     PidSection: {"kp": -8000.0},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},
     SamplesSection: {"count": 3, "parameters": {}},
+    Multisine: {"omega": [1.0, 3.0], "amplitudes": [0.1, 0.2], "phases": [0.0, -1.0]},
+    PrintedNumber: {"what": "peak", "value": 1.0, "digits": 1, "where": "page 1", "road": {"edge": 0.1}},
+    MissingNumber: {"what": "a peak", "why": "no units"},
+    Entry: {"name": "mine", "title": "a title", "source": "a source", "licence": "none"},
+    **{section: {} for section in (*IN_PYTHON, TableSettings, RigSettings)},
 }
 KEYS = [(section, name, key) for section in SECTIONS for name, key in keys(section).items()]
 NAMES = [f"{section.__name__}-{name}" for section, name, _ in KEYS]
@@ -76,6 +90,9 @@ def test_a_key(section, name, key):
             read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
         assert str(error.value).startswith("[here")
         assert name in str(error.value)
+    if any(isinstance(one, Choice) for one in of_each(key)):
+        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = 'blue' is not allowed; give '\w+"):
+            read("[here]", section, {**SECTIONS[section], name: wrapped(key, "blue")}, **CONTEXT)
 
 
 @pytest.mark.parametrize(("section", "name", "key"), KEYS, ids=NAMES)
@@ -84,10 +101,18 @@ def test_numbers(section, name, key):
     (number,) = [one for one in of_each(key) if isinstance(one, SI | Integer)] or [None]
     if number is None:
         pytest.skip("not a number")
-    for wrong in (number.low - 1, number.high + max(1, number.high)):
-        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+"):
+    unit = f" {number.unit}" if number.unit not in ("", "1") else ""
+    for wrong in (number.low - 1, *[number.high + max(1, number.high)] * math.isfinite(number.high)):
+        range_of = rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}"
+        with pytest.raises(InputError, match=rf"^\[here\] {range_of}"):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT)
+        if section in IN_PYTHON:
+            with pytest.raises(InputError, match=rf"^\w+ {range_of}$"):
+                section(**{name: wrong})
     if isinstance(number, SI):
-        unit = "pure number" if number.unit == "1" else f"unit of {number.unit}"
-        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = '3 A' has the unknown unit 'A', but a {unit} "):
+        unknown = f"'3 A' has the unknown unit 'A', but a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
+        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = {unknown}"):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
+        if section in IN_PYTHON:
+            with pytest.raises(InputError, match=rf"^\w+ {name} = {unknown}"):
+                section(**{name: "3 A"})

@@ -8,6 +8,7 @@ import pytest
 from models.common.files import parse_toml
 from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history
+from models.roads.rig import Rig
 from models.vehicle.in_place import with_contents
 from tests.support.commands import in_the_suite, refused
 
@@ -42,8 +43,8 @@ def read(caller: str, text: str, folder, settings: str = "") -> np.ndarray:
         assert profile is not None
         return np.column_stack([profile.distance, profile.heights])
     if caller == "rig":
-        rig = choose_road("rig:file=table.csv", folder).rig
-        assert rig is not None
+        rig = choose_road("rig:file=table.csv", folder).road
+        assert isinstance(rig, Rig)
         return np.column_stack([rig.time, rig.heights])
     if caller == "load":
         load = parse_history(text.lstrip("\ufeff"), "table.csv")

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Positive
+from models.common.checks import AT_LEAST_ONE, Length, PositiveSpeed, Time
 from models.common.errors import InputError
 from models.laws.filter import Filter
 from models.laws.linear import LinearLaw
@@ -195,7 +195,7 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
 
-def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, timestep: float, speed: Positive) -> list[Lines]:
+def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed) -> list[Lines]:
     """Returns the frequency responses of controllers in MuJoCo, each from the last period of a repeated chirp.
 
     Args:

@@ -2,126 +2,23 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import parse_toml
-from models.kinds.kind import HERE
+from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Key, Listed, Section, Tables, Text, read
+from models.kinds import kind
+from models.roads.description import read_road
+from models.roads.road import Bump, Road
 from synth.vehicle.paper import PRINTED
 
-FOLDER = HERE / "gallery"
+FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
 CAR = "car.toml"  # the usual vehicle file of an entry
+PAPERS = Bump()  # the paper's bump, the usual road
 SHORT = 1e-3  # relative: what the paper's solver stopped short by, in every number
-
-
-@dataclass(frozen=True)
-class PrintedNumber:
-    """Number that a source prints.
-
-    Attributes:
-        what: type of the number, a key of `sim.studies.gallery.numbers.KINDS`.
-        value: value as published, in `unit`.
-        digits: decimals of the printed value.
-        where: place in the source, or formula.
-        vehicle: vehicle file in the entry's folder.
-        controller: name in the vehicle file.
-        signal: output signal.
-        at: row and column of an entry of a matrix, from 0; empty for a scalar.
-        hertz: frequency [Hz].
-        road: a road's numbers by name, and its `type` out of `models.roads.obstacles.OBSTACLES`; without one it is a
-            bump, or with an `edge` a step.
-        duration, timestep: duration and timestep of the run [s].
-        band: half the width of the band of a settling time, as in `sim.drive` [%].
-        half_band: magnitude that a signal no longer exceeds after a recovery time, in its SI unit.
-        grid: step of the samples of the source's response [s]; 0 if unknown.
-        unit: unit of the value.
-        scale: factor from SI units to `unit`.
-        symbol: quantity of the paper.
-        reason: reason of a difference; empty without one.
-        within: the largest difference that the reason explains, relative.
-        derived: True if the source prints data or a formula alone, from which the value follows as `where` says.
-    """
-
-    what: str
-    value: float
-    digits: int
-    where: str
-    vehicle: str = CAR
-    controller: str = "passive"
-    signal: str = ""
-    at: tuple[int, ...] = ()
-    hertz: float = 0.0
-    road: Mapping[str, Any] = field(default_factory=dict)
-    duration: float = 3.0
-    timestep: float = 1e-3
-    band: float = 2.0
-    half_band: float = 0.0
-    grid: float = 0.0
-    unit: str = ""
-    scale: float = 1.0
-    symbol: str = ""
-    reason: str = ""
-    within: float = 0.0
-    derived: bool = False
-
-    @property
-    def text(self) -> str:
-        """Description in a few words."""
-        name = self.symbol or f"{self.what} {self.signal or self.controller}"
-        where = f"[{', '.join(map(str, self.at))}]" if self.at else ""
-        vehicle = "" if self.symbol or self.vehicle == CAR else f", {self.vehicle.removesuffix('.toml')}"
-        return f"{name}{where}{vehicle}"
-
-    @property
-    def shown(self) -> str:
-        """The printed value with its digits and unit, in brackets if it is derived."""
-        text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
-        return f"({text})" if self.derived else text
-
-
-@dataclass(frozen=True)
-class MissingNumber:
-    """Number of a source that no vehicle file can express.
-
-    Attributes:
-        what: the number, in words.
-        why: reason for the missing number, in a line.
-        source: entry of `SOURCES` without any number for this reason; empty if it has others.
-    """
-
-    what: str
-    why: str
-    source: str = ""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """Source and its numbers.
-
-    Attributes:
-        name: name of its folder.
-        title: title of the publication.
-        source: reference or address.
-        licence: licence, and the parts that are copied here.
-        printed: the numbers that can be compared.
-        missing: numbers that cannot be compared.
-        folder: folder of its vehicle files.
-        about: description in a sentence.
-        sources: entries of `SOURCES` with numbers in it.
-    """
-
-    name: str
-    title: str
-    source: str
-    licence: str
-    printed: tuple[PrintedNumber, ...]
-    missing: tuple[MissingNumber, ...]
-    folder: Path
-    about: str = ""
-    sources: tuple[str, ...] = ()
 
 
 # Published results that the gallery is about. An entry says which it holds, with numbers or with the reason why there are none.
@@ -147,6 +44,88 @@ SOURCES = (
 )
 
 
+@dataclass(frozen=True)
+class RoadTable(Key):
+    """A road as a table; without its `type` it is a bump, or with an `edge` a step."""
+
+    meaning: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Road:
+        """Returns the road."""
+        if not isinstance(value, Mapping):
+            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
+        return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
+
+
+@dataclass(frozen=True)
+class PrintedNumber(Section):
+    """Number that a source prints."""
+
+    what: Annotated[str, Text("type of the number, a key of `sim.studies.gallery.numbers.KINDS`")]
+    value: Annotated[float, SI("", "value as published, in `unit`", -LARGEST)]
+    digits: Annotated[int, Integer("decimals of the printed value", -20, 20)]
+    where: Annotated[str, Text("place in the source, or formula")]
+    vehicle: Annotated[str, Text("vehicle file in the entry's folder")] = CAR
+    controller: Annotated[str, Text("name of a controller of the vehicle file")] = "passive"
+    signal: Annotated[str, Text("output signal")] = ""
+    at: Annotated[tuple[int, ...], Listed("row and column of an entry of a matrix, from 0; a scalar has none", Integer())] = ()
+    hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
+    road: Annotated[Road, RoadTable("a road; without its `type` a bump, or with an `edge` a step")] = PAPERS
+    duration: Annotated[float, SI("s", "duration of the run")] = 3.0
+    timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
+    band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
+    half_band: Annotated[float, SI("", "magnitude that a signal no longer exceeds after a recovery time, in SI units", 0.0)] = 0.0
+    grid: Annotated[float, SI("s", "step of the samples of the source's response; 0 if unknown", 0.0)] = 0.0
+    unit: Annotated[str, Text("unit of the value")] = ""
+    scale: Annotated[float, SI("", "factor from SI units to `unit`", -LARGEST)] = 1.0
+    symbol: Annotated[str, Text("quantity of the paper")] = ""
+    reason: Annotated[str, Text("reason of a difference; empty without one")] = ""
+    within: Annotated[float, SI("", "the largest difference that the reason explains, relative", 0.0)] = 0.0
+    derived: Annotated[bool, Flag("the source prints data or a formula alone, from which the value follows")] = False
+
+    @property
+    def text(self) -> str:
+        """Description in a few words."""
+        name = self.symbol or f"{self.what} {self.signal or self.controller}"
+        where = f"[{', '.join(map(str, self.at))}]" if self.at else ""
+        vehicle = "" if self.symbol or self.vehicle == CAR else f", {self.vehicle.removesuffix('.toml')}"
+        return f"{name}{where}{vehicle}"
+
+    @property
+    def shown(self) -> str:
+        """The printed value with its digits and unit, in brackets if it is derived."""
+        text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+        return f"({text})" if self.derived else text
+
+
+@dataclass(frozen=True)
+class MissingNumber(Section):
+    """Number of a source that no vehicle file can express."""
+
+    what: Annotated[str, Text("the number, in words")]
+    why: Annotated[str, Text("reason for the missing number, in a line")]
+    source: Annotated[str, Choice("entry of `SOURCES` without any number for this reason, if it has no others", SOURCES)] = ""
+
+
+@dataclass(frozen=True)
+class Entry(Section):
+    """Source and its numbers."""
+
+    name: Annotated[str, Text("name of its folder")]
+    title: Annotated[str, Text("title of the publication")]
+    source: Annotated[str, Text("reference or address")]
+    licence: Annotated[str, Text("licence, and the parts that are copied here")]
+    printed: Annotated[tuple[PrintedNumber, ...], Tables("the numbers that can be compared", PrintedNumber)] = ()
+    missing: Annotated[tuple[MissingNumber, ...], Tables("numbers that cannot be compared", MissingNumber)] = ()
+    about: Annotated[str, Text("description in a sentence")] = ""
+    sources: Annotated[tuple[str, ...], Listed("entries of `SOURCES` with numbers in it", Choice("", SOURCES))] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of its vehicle files."""
+        return FOLDER / self.name
+
+
 def names() -> list[str]:
     """Returns the names of all entries; the paper's is the first."""
     return [PAPER, *sorted(path.parent.name for path in FOLDER.glob("*/entry.toml"))]
@@ -163,17 +142,7 @@ def read_entry(name: str) -> Entry:
     if name == PAPER:
         return _paper()
     path = FOLDER / name / "entry.toml"
-    tables = parse_toml(path.read_text(encoding="utf-8"))
-    try:
-        printed = tuple(PrintedNumber(**{**one, "at": tuple(one.get("at", ()))}) for one in tables.pop("printed", []))
-        missing = tuple(MissingNumber(**one) for one in tables.pop("missing", []))
-        sources = tuple(tables.pop("sources", ()))
-        entry = Entry(name, printed=printed, missing=missing, folder=path.parent, sources=sources, **tables)
-    except TypeError as error:
-        raise InputError(f"{path.name} of {name}: {error}; give title, source, licence, printed and missing") from error
-    if unknown := [one for one in (*sources, *(lack.source for lack in missing if lack.source)) if one not in SOURCES]:
-        raise InputError(f"{path.name} of {name}: unknown source {quoted(unknown[0])}; one of {listing(SOURCES)}")
-    return entry
+    return read(f"{path.name} of {name}:", Entry, {**parse_toml(path.read_text(encoding="utf-8")), "name": name})
 
 
 def _paper() -> Entry:
@@ -195,4 +164,4 @@ def _paper() -> Entry:
     title = "Static output-feedback H-infinity controllers for vehicle suspensions, equations (40) to (60)"
     source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"
     about = "The paper that this project carries out: its gains, norms and bounds, each in its equation."
-    return Entry(PAPER, title, source, "numbers alone are quoted", printed, (), HERE, about)
+    return Entry(PAPER, title, source, "numbers alone are quoted", printed, about=about)

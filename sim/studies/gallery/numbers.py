@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError, listing, quoted
-from models.roads.obstacles import OBSTACLES
+from models.roads.road import Road
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run, run_controllers, sample_times
@@ -134,7 +134,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
     Raises:
         InputError: the signal does not settle, or is never outside the band.
     """
-    begins = float(one.road.get("start", 0.0))
+    begins = getattr(one.road, "start", 0.0)
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
         raise InputError(f"{one.text}: the signal never leaves the band, or never settles; move this number to `missing`")
@@ -156,13 +156,11 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
 
 def driven(designer: Designer, one: PrintedNumber) -> Run:
     """Returns the run that a number is of, the same one for all numbers of the same run."""
-    return _run(designer, one.controller, tuple(one.road.items()), one.duration, one.timestep)
+    return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
 
 @cache
-def _run(designer: Designer, controller: str, settings: tuple, duration: float, timestep: float) -> Run:
-    numbers = dict(settings)
-    road = OBSTACLES[numbers.pop("type", "step" if "edge" in numbers else "bump")](**numbers)
+def _run(designer: Designer, controller: str, road: Road, duration: float, timestep: float) -> Run:
     time = sample_times(designer.vehicle, duration, timestep)
     return run_controllers(designer.vehicle, [_linear(designer, controller)], road, time)[0]
 
@@ -204,12 +202,12 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     values = pieces_of(designer, one).at(times)
     if one.what in ("peak", "rms"):
         return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
-    height = float(one.road.get("height", 0.0))
+    height = getattr(one.road, "height", 0.0)
     if one.what == "overshoot":
         return float(max(np.max(values / height) - 1, 0.0))
     far = np.abs(values) if one.what == "recovery" else np.abs(values - height)
     outside = np.flatnonzero(far > (one.half_band or one.band / 100 * abs(height)))
-    return float(times[outside[-1] + 1] - one.road.get("start", 0.0))
+    return float(times[outside[-1] + 1] - getattr(one.road, "start", 0.0))
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from models.common.checks import Positive
+from models.common.checks import PositiveTime
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
@@ -219,7 +219,7 @@ def _close(predicted: float, measured: float, within: float) -> bool:
 
 
 def find_margins(
-    vehicle: Vehicle, controller: Controller, timestep: Positive, progress: Callable[[str], None] = no_progress
+    vehicle: Vehicle, controller: Controller, timestep: PositiveTime, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
     """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
 

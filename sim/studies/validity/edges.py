@@ -9,7 +9,7 @@ import numpy as np
 from models.common.printed import finite
 from models.document.document import Document, Table, notes
 from models.document.field import Field
-from models.roads.road import LIMITS
+from models.roads.road import HIGHEST
 from sim.response.regime import END_NAMES
 from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
@@ -33,7 +33,7 @@ def edges_object(cells: Cells) -> dict[str, Any]:
         spans = ((end, [at for at, _ in some]) for end, some in groupby(points, lambda point: point[1]))
         parts = [{"end": end, "from": at[0], "to": at[-1]} for end, at in spans]
         height, used = cells.bumps[mine[-1]].height, cells.used[mine[-1]]
-        known = along.name == "height" and proportional and used.max() * LIMITS["height"][1] >= height
+        known = along.name == "height" and proportional and used.max() * HIGHEST >= height
         predicted = {"predicted": END_NAMES[int(used.argmax())], "predicted_from": float(height / used.max())} if known else {}
         at = {others[0].name: value} if others else {}
         lines.append({**at, "breaks_first": parts, "predicted": None, "predicted_from": None, **predicted})

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, listing
-from models.roads.load_choice import setting
-from models.roads.road import LIMITS, LOWEST, Bump
+from models.common.schema import SI, keys
+from models.common.units import setting
+from models.roads.road import LOWEST, Bump
 
-UNITS = {"height": "m", "length": "m", "speed": "m/s"}
+NUMBERS = {name: key for name, key in keys(Bump).items() if isinstance(key, SI)}  # of a bump
+UNITS = {name: key.unit for name, key in NUMBERS.items()}
 MOST_CELLS = 100_000
 
 
@@ -50,7 +52,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             wrong, low, high, count = True, 0.0, 0.0, 0
         if wrong:
             raise InputError(f"--vary {text} does not have the form NAME:LOW:HIGH:COUNT, {example}")
-        smallest, largest = LOWEST if name == "height" else LIMITS[name][0], LIMITS[name][1]
+        smallest, largest = LOWEST if name == "height" else NUMBERS[name].low, NUMBERS[name].high
         if not smallest <= low < high <= largest:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if count < 2:

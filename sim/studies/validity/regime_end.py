@@ -15,7 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.load import Load
-from models.roads.road import LIMITS, Bump, RoadInput
+from models.roads.road import HIGHEST, Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.response.regime import END_NAMES
@@ -111,7 +111,7 @@ def enclosed(
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (controller, bump) in enumerate(zip(controllers, bumps, strict=True)):
         response, used = _predicted(vehicle, controller, bump, loads, time)
-        if used.max() * LIMITS["height"][1] >= FURTHEST:
+        if used.max() * HIGHEST >= FURTHEST:
             near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * NEAR >= used.max())
             ends[i] = RegimeEnd(float(1 / used.max()), END_NAMES[int(used.argmax())], near, 0.0, math.inf, "")
             samples[i], tried[i] = _needed(vehicle, controller, response), []
@@ -152,16 +152,16 @@ def _predicted(
         else:
             low = height
         tried += 1
-        if high < low * WITHIN**2 or low >= LIMITS["height"][1] or tried == ANALYSES:
+        if high < low * WITHIN**2 or low >= HIGHEST or tried == ANALYSES:
             return at_end or (response, used / height)
         nearer, between = height / share, math.sqrt(low * high)
         height = nearer if not 0 < between < math.inf or (abs(share - 1) < 0.5 and low < nearer < high) else between
-        height = min(height, LIMITS["height"][1])
+        height = min(height, HIGHEST)
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:
     """Returns True if an end is not enclosed yet, and may be at an allowed height."""
-    highest = min(FURTHEST * end.predicted, LIMITS["height"][1] / within**2)
+    highest = min(FURTHEST * end.predicted, HIGHEST / within**2)
     return end.leaves > end.stays * within**2 * (1 + 1e-9) and end.stays < highest
 
 
