@@ -28,7 +28,6 @@ from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
-from models.laws import filter as weights
 from models.laws import semi_active
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
@@ -44,6 +43,7 @@ from models.suspension.damper import ActuatorSection
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
+from models.vehicle.sections import WeightSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
@@ -204,7 +204,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         for name in kinds()
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
-    sections["[performance]"] += [(key, "", "part of a frequency-dependent weight") for key in weights.KEYS]
+    sections["[performance]"] += section_keys(WeightSection)
     sections["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
     sections["bounds of a controller"] = [
         (key, "", f"example: `{example}`" + (f"; with {', '.join(more)}" if more else ""))

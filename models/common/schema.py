@@ -143,15 +143,16 @@ class Integer(Key):
 
 @dataclass(frozen=True)
 class Choice(Key):
-    """One of several texts."""
+    """One of several texts; `more` ends the message for another value."""
 
     meaning: str = ""
     texts: tuple[str, ...] = ()
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if value not in self.texts:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}{self.more}")
         return value
 
     @property
@@ -180,10 +181,11 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class Listed(Key):
-    """A list with at least one value, each of which another key reads."""
+    """A list with at least one value, each of which another key reads; `more` ends the message for another value."""
 
     meaning: str = ""
     each: Key = Text()
+    more: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unit", self.each.unit)
@@ -191,7 +193,7 @@ class Listed(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
         """Returns the values."""
         if not isinstance(value, list | tuple) or not value:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value{self.more}")
         items = []
         for i, one in enumerate(value):
             try:

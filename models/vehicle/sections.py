@@ -4,19 +4,21 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from models.common.checks import check_keys, flag_within, is_finite, number_within
+from models.common.checks import flag_within, is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
+from models.common.schema import HERE, SI, AnyTable, read
 from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number, no_loads
 from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
+from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.bump_stops import Stops
@@ -50,7 +52,7 @@ class WeightedSum:
     name: str
     weight: float
     terms: Mapping[str, float]
-    filter: "Filter | None" = None
+    filter: Filter | None = None
 
     @property
     def text(self) -> str:
@@ -58,93 +60,93 @@ class WeightedSum:
         return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
 
 
-def read_sums(section: Mapping[str, Any], outputs: Sequence[str]) -> tuple[WeightedSum, ...]:
-    """Returns the sums of `[performance]` with a weight above 0, in their order: entries `NAME = { sum = { ... } }`.
+class Weight(SI):
+    """0, or a number in the range of weights."""
 
-    Args:
-        outputs: the signals that can be summed.
+    def number(self, what: str, value: Any) -> float:
+        """Returns the weight; `what` names it in the message."""
+        least = 0.0 if is_finite(value) and value == 0 else SMALLEST_WEIGHT
+        more = ', or 0, or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+        return number_within(what, value, least, self.high, self.unit, more)
 
-    Raises:
-        InputError: a name is that of a signal, a signal is unknown, or a factor, weight or filter is not allowed.
-    """
-    sums = []
-    for name, given in section.items():
-        where = f"[performance] {name}"
-        if not is_sum(given):
-            continue
-        if name in outputs or name == ROAD:
-            raise InputError(f"{where} is the name of a {'signal' if name in outputs else 'filter'}; give the sum another name")
-        terms, weight = given["sum"], given.get("weight", 1.0)
-        if not isinstance(terms, Mapping) or not terms or not all(is_number(one) and one for one in terms.values()):
+
+WEIGHT = Weight("1", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
+
+
+class Terms(AnyTable):
+    """Factors of signals in a sum. The context of the reader has `outputs`, the names of the signals."""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+        """Returns the factors by signal."""
+        outputs = context["outputs"]
+        if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
             raise InputError(
-                f"{where} sum = {quoted(terms)} is not allowed; give signals with factors other than 0, as in sum = "
+                f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
                 f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
             )
-        if unknown := [signal for signal in terms if signal not in outputs]:
-            raise InputError(f"{where} sums the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
-        check_weight(where, weight)
-        rest = {key: value for key, value in given.items() if key != "sum"}
-        shaped = _filter(where, rest, integrates=True) if rest.keys() - {"weight"} else None
-        if weight:
-            sums.append(WeightedSum(name, float(weight), {signal: float(one) for signal, one in terms.items()}, shaped))
-    return tuple(sums)
+        if unknown := [signal for signal in value if signal not in outputs]:
+            raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
+        return {signal: float(one) for signal, one in value.items()}
 
 
-def is_sum(given: Any) -> bool:
-    """Returns True if an entry of `[performance]` is a weighted sum of signals."""
-    return isinstance(given, Mapping) and "sum" in given
+@dataclass(frozen=True)
+class WeightSection(FilterSection):
+    """A signal or a sum of signals in `[performance]`. A number is its weight."""
+
+    integrates: ClassVar[bool] = True
+    hints: ClassVar[Mapping[str, str]] = {}
+
+    weight: Annotated[float, WEIGHT] = 1.0
+    sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
+
+    @cached_property
+    def shape(self) -> Filter | None:
+        """The filter; None for a constant weight."""
+        return None if self.filter is self.numerator is self.denominator is None else super().shape
 
 
-def read_performance(
-    section: Mapping[str, Any], outputs: Sequence[str], sums: Sequence[WeightedSum] = ()
-) -> "tuple[dict[str, float], dict[str, Filter], Filter | None]":
-    """Returns the weights by signal, the filters of signals that have one, and the road's filter.
+def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
+    """Returns the attributes `performance`, `filters`, `sums` and `road_filter` of a `Vehicle`, from `[performance]`.
 
     Args:
         outputs: the signals that can be weighted.
-        sums: the section's weighted sums, which are read apart.
 
     Raises:
         InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
     """
-    weights, filters, road_filter = {}, {}, None
-    for signal, given in section.items():
-        where, weight = f"[performance] {signal}", given
-        if is_sum(given):
-            continue
-        if signal == ROAD:
-            if not isinstance(given, Mapping) or "weight" in given:
+    weights, filters, sums, road_filter = dict[str, float](), dict[str, Filter](), list[WeightedSum](), None
+    for name, given in section.items():
+        where = f"[performance] {name}"
+        if name == ROAD:
+            if not isinstance(given, Mapping):
                 raise InputError(f"{where} = {quoted(given)} is not a filter; give numerator and denominator, without weight")
-            road_filter = _filter(where, given, integrates=False)
+            road_filter = read(where, FilterSection, given).shape
             continue
-        if signal not in outputs:
+        if not isinstance(given, Mapping):
+            weights[name] = WEIGHT.number(where, given)
+            continue
+        one = read(where, WeightSection, given, outputs=outputs)
+        if one.sum is None:
+            weights[name] = one.weight
+            filters |= {name: one.shape} if one.shape is not None and one.weight else {}
+        elif name in outputs:
+            raise InputError(f"{where} is the name of a signal; give the sum another name")
+        elif one.weight:
+            sums.append(WeightedSum(name, one.weight, one.sum, one.shape))
+    check_weights(weights, sums, outputs)
+    return {"performance": weights, "filters": filters, "sums": tuple(sums), "road_filter": road_filter}
+
+
+def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], outputs: Sequence[str]) -> None:
+    """Raises an InputError if a weighted signal is unknown, or no weight is above 0."""
+    for name in weights:
+        if name not in outputs:
             raise InputError(
-                f"[performance] unknown signal {signal!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
+                f"[performance] unknown signal {name!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
                 "or a new name for a sum of signals"
             )
-        if isinstance(given, Mapping):
-            filters[signal], weight = _filter(where, given, integrates=True), given.get("weight", 1.0)
-        check_weight(where, weight)
-        weights[signal] = float(weight)
     if not any(weights.values()) and not sums:
         raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {listing(outputs)}")
-    return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
-
-
-def check_weight(where: str, weight: Any) -> None:
-    """Refuses a weight that is neither 0 nor a number in range."""
-    if not is_finite(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
-        raise InputError(
-            f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
-            'or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
-        )
-
-
-def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
-    from models.laws.filter import KEYS, read_filter
-
-    check_keys(where, given, KEYS)
-    return read_filter(where, given, integrates)
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:

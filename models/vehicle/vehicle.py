@@ -33,6 +33,7 @@ from models.vehicle.limits_and_implementation import (
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
+    check_weights,
     curve_notes,
     curves_and_parameters,
     dampers_of,
@@ -40,7 +41,6 @@ from models.vehicle.sections import (
     known_quantities,
     ratio_doubts,
     read_performance,
-    read_sums,
     road_files,
     settled,
     suspension_doubts,
@@ -515,11 +515,11 @@ class Vehicle(Shown):
         """
         parameters = self.kind.check(self.parameters)
         outputs = self.kind.whole_model(parameters).outputs
-        performance, filters, road_filter = read_performance(self.performance, outputs, self.sums)
-        sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
+        check_weights(self.performance, self.sums, outputs)
+        filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
+        sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
         _ = sound.adjustable  # these parameters, too, must go with its dampers
-        filters = {signal: kept for signal, kept in {**self.filters, **filters}.items() if performance.get(signal)}
-        return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
+        return sound
 
     @property
     def doubts(self) -> list[str]:
@@ -652,31 +652,27 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}
     controllers = read_controllers(section, model, limits, implementation, vehicle_kind, folder, sampled, endings)
-    sums = read_sums(data["performance"], model.outputs)
-    performance, filters, road_filter = read_performance(data["performance"], model.outputs, sums)
+    weights = read_performance(data["performance"], model.outputs)
     named = {signal for entry in controllers.values() for signal in entry.named}
     bent = {*curves, *vehicle_kind.ratios, *(force for force, part in dampers.items() if part.pair is not None)}
     named |= {
         part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force, part.ratio} & bent
     }
-    named |= {signal for one in sums for signal in one.terms}
-    measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
+    named |= {signal for one in weights["sums"] for signal in one.terms}
+    measured = vehicle_kind.naming(named.union(weights["performance"], implementation.noise, implementation.quantisation))
     vehicle = Vehicle(
         kind=replace(measured, signals=(*measured.signals, *of_dampers([part.ending for part in adjusted]))),
         parameters=parameters,
-        performance=performance,
+        **weights,
         controllers=controllers,
         text=text,
         source=source,
         limits=limits.without_actuators if dampers else limits,
         force_limits=limits if dampers else None,
         implementation=implementation,
-        filters=filters,
-        road_filter=road_filter,
         sampled=sampled,
         curves=curves,
         dampers=dampers,
-        sums=sums,
     )
     for entry in controllers.values():
         vehicle.check_entry(entry)

@@ -9,7 +9,8 @@ from typing import Any
 
 from models.common.checks import number_within
 from models.common.errors import InputError, listing, quoted
-from models.laws.filter import POLYNOMIALS, Filter, read_filter
+from models.common.schema import read
+from models.laws.filter import Filter, FilterSection
 from models.laws.goals import FORCE
 
 SMALLEST, LARGEST = 1e-6, 1e6  # of a weight that is the same at all frequencies
@@ -70,10 +71,7 @@ def read_weighted_errors(
 
 def _weight(where: str, given: Any) -> Filter:
     if isinstance(given, Mapping):
-        for key in given:
-            if key not in (*POLYNOMIALS, "filter"):
-                raise InputError(f"{where} weight has the unknown key {quoted(key)}; give only numerator and denominator")
-        return read_filter(where, given)
+        return read(f"{where} weight", FilterSection, given).shape
     more = ", or numerator and denominator as coefficients in descending powers of s"
     return Filter((((number_within(f"{where} weight", given, SMALLEST, LARGEST, more=more),), (1.0,)),))
 

@@ -7,20 +7,24 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.schema import SI, AnyTable, Flag, Integer, Key, keys, read
+from models.laws.filter import FilterSection
 from models.suspension.bump_stops import StopSection
 from models.suspension.damper import ActuatorSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
+from models.vehicle.sections import WeightSection
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 
-CONTEXT = {"signals": {"sprung_velocity": "m/s"}}
+CONTEXT = {"signals": {"sprung_velocity": "m/s"}, "outputs": ["sprung_velocity", "tyre_deflection"]}
 SECTIONS = {  # each with a table that is right
     ImplementationSection: {"sample_period": 0.01},
     LimitsSection: {"actuator_force": 100.0},
     StopSection: {"suspension_stroke": 0.1, "stop_stiffness": 1e5},
     ActuatorSection: {"kind": "damper", "c_min": 100.0, "c_max": 1e3},
     PayloadSection: {"mass": 100.0},
+    FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
+    WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},
     SamplesSection: {"count": 3, "parameters": {}},
 }
@@ -36,7 +40,7 @@ def of_each(key: Key) -> list[Key]:
 
 def wrapped(key: Key, value: object) -> object:
     """A value as the key holds it: in a list, if the key is one."""
-    return [value] if "each" in vars(key) else value
+    return [wrapped(vars(key)["each"], value)] if "each" in vars(key) else value
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
@@ -72,11 +76,11 @@ def test_numbers(section, name, key):
     (number,) = [one for one in of_each(key) if isinstance(one, SI | Integer)] or [None]
     if number is None:
         pytest.skip("not a number")
-    for wrong in (number.low - 1, number.high + max(1, number.high)):
+    for wrong in (number.low - max(1, -number.low), number.high + max(1, number.high)):
         with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+"):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT)
     if isinstance(number, SI):
         with pytest.raises(
-            InputError, match=rf"^\[here\] {name}\S* = '3 A' has the unknown unit 'A', but a unit of {number.unit} "
+            InputError, match=rf"^\[here\] {name}\S* = '3 A' has the unknown unit 'A', but a (pure number|unit of {number.unit}) "
         ):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
