@@ -38,8 +38,9 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
 from models.roads.road import Bump
-from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
+from models.suspension.curve_reading import DamperTable, SpringTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
@@ -216,10 +217,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     ]
     sections["[limits]"] = section_keys(LimitsSection)
     sections["[implementation]"] = section_keys(ImplementationSection)
-    sections["[curves]"] = [
-        (key, "", "remark on the table, printed as a warning" if key == "note" else "")
-        for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
-    ]
+    tables = (DamperTable, SpringTable, RatioSection)
+    sections["[curves]"] = list({row[0]: row for section in tables for row in section_keys(section)}.values())
     sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(PayloadSection)
     sections["a campaign file"] = section_keys(CampaignFile)

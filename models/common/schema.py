@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import number_within
-from models.common.errors import InputError, alike, error_in, number_range, quoted
+from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
 from models.common.units import in_unit
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
@@ -181,10 +181,12 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class Listed(Key):
-    """A list with at least one value, each of which another key reads; `more` ends the message for another value."""
+    """A list of values, each of which another key reads; `more` ends the message for a list of another length."""
 
     meaning: str = ""
     each: Key = Text()
+    least: int = 1
+    most: int | None = None
     more: str = ""
 
     def __post_init__(self) -> None:
@@ -192,8 +194,12 @@ class Listed(Key):
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
         """Returns the values."""
-        if not isinstance(value, list | tuple) or not value:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value{self.more}")
+        listed = isinstance(value, list | tuple)
+        if not listed or not self.least <= len(value) <= (self.most or len(value)):
+            wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
+            least = "one value" if self.least == 1 else f"{self.least} values"
+            most = f", and at most {self.most}" if self.most else ""
+            raise InputError(f"{HERE} {wrong}; give a list of at least {least}{most}{self.more}")
         items = []
         for i, one in enumerate(value):
             try:
@@ -205,7 +211,7 @@ class Listed(Key):
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the list."""
-        return {"type": "array", "items": dict(self.each.json), "minItems": 1}
+        return {"type": "array", "items": dict(self.each.json), "minItems": self.least}
 
 
 @dataclass(frozen=True)
@@ -300,7 +306,10 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
     from pydantic import ValidationError
 
     if not isinstance(given, Mapping):
-        raise InputError(f"{where} = {quoted(given)} is not a section; write {where}, and its keys below")
+        write = f"section; write {where}, and its keys below"
+        if not where.endswith("]"):
+            write = f"table; give {{ ... }} with keys of {listing(keys(section))}"
+        raise InputError(f"{where} = {quoted(given)} is not a {write}")
     try:
         with error_in(where):
             given = section.prepared(given)

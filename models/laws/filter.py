@@ -164,7 +164,7 @@ class Polynomial(Listed):
 
 
 POLYNOMIAL = Polynomial(
-    "coefficients of a filter in descending powers of s", SI("1", low=-LARGEST, high=LARGEST), ", in descending powers of s"
+    "coefficients of a filter in descending powers of s", SI("1", low=-LARGEST, high=LARGEST), more=", in descending powers of s"
 )
 
 

@@ -118,8 +118,6 @@ def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict
     for name, given in section.items():
         where = f"[performance] {name}"
         if name == ROAD:
-            if not isinstance(given, Mapping):
-                raise InputError(f"{where} = {quoted(given)} is not a filter; give numerator and denominator, without weight")
             road_filter = read(where, FilterSection, given).shape
             continue
         if not isinstance(given, Mapping):
@@ -220,8 +218,8 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
     ratios = {}
     for parameter in kind.parameters:
         if parameter.name in names:
-            with error_in(f"[curves] {parameter.name}:"):
-                ratios[parameter.name] = ratio_table(section[parameter.name], parameter.check)
+            where = f"[curves] {parameter.name}"
+            ratios[parameter.name] = ratio_table(where, section[parameter.name], parameter.check)
     return ratios
 
 

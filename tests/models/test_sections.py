@@ -6,10 +6,12 @@ import pickle
 import pytest
 
 from models.common.errors import InputError
-from models.common.schema import SI, AnyTable, Flag, Integer, Key, keys, read
+from models.common.schema import SI, AnyTable, Flag, Integer, Key, Listed, keys, read
 from models.laws.filter import FilterSection
 from models.suspension.bump_stops import StopSection
+from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
@@ -23,6 +25,10 @@ SECTIONS = {  # each with a table that is right
     StopSection: {"suspension_stroke": 0.1, "stop_stiffness": 1e5},
     ActuatorSection: {"kind": "damper", "c_min": 100.0, "c_max": 1e3},
     PayloadSection: {"mass": 100.0},
+    DamperTable: {"velocity": [-1.0, 1.0], "force": [-9.0, 9.0], "friction": 5.0, "friction_velocity": 0.1},
+    SpringTable: {"deflection": [-0.1, 0.1], "force": [-9.0, 9.0]},
+    SurfaceTable: {"velocity": [-1.0, 1.0], "deflection": [-0.1, 0.1], "force": [[-9.0, -8.0], [9.0, 8.0]]},
+    RatioSection: {"deflection": [-0.1, 0.1], "ratio": [0.6, 0.7]},
     FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
     WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},
@@ -40,7 +46,7 @@ def of_each(key: Key) -> list[Key]:
 
 def wrapped(key: Key, value: object) -> object:
     """A value as the key holds it: in a list, if the key is one."""
-    return [wrapped(vars(key)["each"], value)] if "each" in vars(key) else value
+    return [wrapped(key.each, value)] * key.least if isinstance(key, Listed) else value
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
@@ -63,7 +69,8 @@ def test_a_section(section):
 def test_a_key(section, name, key):
     """A key has a meaning, and a value of a wrong type is refused in a line with section, key, value and what is allowed."""
     assert key.meaning
-    for wrong in ([[]], 1.5 if isinstance(key, Flag) else True, *[{"colour": []}] * (not isinstance(key, AnyTable))):
+    others = [1.5] if isinstance(key, Flag) else [] if "boolean" in str(key.json) else [True]
+    for wrong in ([[]], *others, *[{"colour": []}] * (not isinstance(key, AnyTable))):
         with pytest.raises(InputError) as error:
             read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
         assert str(error.value).startswith("[here")
