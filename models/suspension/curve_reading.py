@@ -169,7 +169,7 @@ class DamperTable(CurveTable):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, other in (FRICTION, FRICTION[::-1]):
-            if getattr(self, name) is None is not getattr(self, other):
+            if getattr(self, name) is None and getattr(self, other) is not None:
                 raise InputError(
                     f"{HERE}.{name} is missing; a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, "
                     "in m/s"

@@ -357,7 +357,7 @@ def test_what_curves_cannot_stand_in_for():
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
     with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
         with_curves(sprung_mass=DIGRESSIVE)
-    with pytest.raises(InputError, match="velocity has 1000000 value.* at most 20000"):
+    with pytest.raises(InputError, match=r"velocity has 1000000 value.* at most 20000"):
         damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0, 1.0])
 
 

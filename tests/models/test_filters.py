@@ -319,7 +319,7 @@ BAD = [
     ("fast", "sprung_acceleration = { numerator = [1.0], denominator = [1e-9, 1.0] }", ["pole at 1e+09 rad/s"]),
     ("loud", "sprung_acceleration = { numerator = [1e30], denominator = [1.0, 1.0] }", ["largest gain of the filter is"]),
     ("bad weight", 'sprung_acceleration = { weight = -1, filter = "iso2631_wk" }', ["= -1 is not allowed", "weight"]),
-    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a filter"]),
+    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a table; give"]),
     ("road with a weight", "road = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] }", ["without weight"]),
     ("road, unstable", "road = { numerator = [1.0], denominator = [-1.0, 1.0] }", ["[performance] road", "is unstable"]),
 ]
