@@ -185,9 +185,9 @@ class Listed(Key):
 
     meaning: str = ""
     each: Key = Text()
+    more: str = ""
     least: int = 1
     most: int | None = None
-    more: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unit", self.each.unit)

@@ -76,13 +76,13 @@ class Argument(Listed):
 
 
 VELOCITY = Argument(
-    "velocities, positive in extension", SI("m/s", "", -1e9, 1e9), 2, MOST_POINTS, "", "velocity", 50.0, "mm/s", "N s/m"
+    "velocities, positive in extension", SI("m/s", "", -1e9, 1e9), "", 2, MOST_POINTS, "velocity", 50.0, "mm/s", "N s/m"
 )
 DEFLECTION = Argument(
-    "deflections, positive in extension", SI("m", "", -1e9, 1e9), 2, MOST_POINTS, "", "deflection", 5.0, "mm", "N/m"
+    "deflections, positive in extension", SI("m", "", -1e9, 1e9), "", 2, MOST_POINTS, "deflection", 5.0, "mm", "N/m"
 )
 COMPRESSION = replace(DEFLECTION, name="compression", meaning="compressions, instead of deflections; forces are positive, too")
-FORCE = Listed("force at each point, positive in extension", SI("N", "", -1e9, 1e9), 2, MOST_POINTS)
+FORCE = Listed("force at each point, positive in extension", SI("N", "", -1e9, 1e9), "", 2, MOST_POINTS)
 Values = tuple[float, ...]
 
 
@@ -182,7 +182,9 @@ class SurfaceTable(Section):
 
     velocity: Annotated[Values, VELOCITY]
     deflection: Annotated[Values, DEFLECTION]
-    force: Annotated[tuple[Values, ...], Listed("lists of forces for each velocity, one force for each deflection", FORCE, 2)]
+    force: Annotated[
+        tuple[Values, ...], Listed("lists of forces for each velocity, one force for each deflection", FORCE, least=2)
+    ]
 
     def __post_init__(self) -> None:
         widths = sorted({len(row) for row in self.force})

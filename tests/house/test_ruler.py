@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from docs.generate import key_sections
+from models.common import schema
 from models.laws import semi_active
 from models.laws.combinations import DEMANDS, KINDS
 from models.laws.goals import BOUND_KINDS
 from models.laws.law_structure import FILTER, GAINS
 from models.roads.load import LOADS
-from models.suspension.bump_stops import TABLE_KEYS
+from models.suspension.curve_reading import StopTableSection
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped
 from sim.campaign.samples import DISTRIBUTIONS, METHODS
@@ -25,9 +26,7 @@ OF_FMUS = {"fmu", "inputs", "outputs"}  # an FMU runs only with the extra [fmi]
 MORE = {  # keys within the values of documented ones
     "bounds of a controller": {key for keys, _ in BOUND_KINDS.values() for key in keys},
     "[controllers.NAME]": {*GAINS, FILTER, "over", "signals", "band", "force"},
-    "[performance]": {"sum"},
-    "[limits]": {*TABLE_KEYS, "bump", "rebound"},
-    "[curves]": {"ratio"},
+    "[limits]": {*schema.keys(StopTableSection), "bump", "rebound"},
     "[samples] of a campaign file": {*DISTRIBUTIONS, "relative"},
 }
 TEXT = "\n".join(lines_of(RULER / "commands.txt"))
