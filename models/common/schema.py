@@ -14,7 +14,7 @@ and pickled without pydantic.
 import functools
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import number_within
@@ -57,9 +57,6 @@ class Key:
         from pydantic_core import core_schema
 
         return core_schema.with_info_plain_validator_function(lambda value, info: self.read(value, info.context or {}))
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
-        return {**self.json, "description": f"{self.meaning}{f' [{self.unit}]' if self.unit else ''}"}
 
 
 @dataclass(frozen=True)
@@ -361,6 +358,18 @@ def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
 def keys(section: type) -> dict[str, Key]:
     """Returns unit, meaning and allowed values of every key of a section, by name."""
     return {field.name: _key(field.type) for field in fields(section)}
+
+
+def json_schema(section: type) -> dict[str, Any]:
+    """Returns the JSON schema of a section's table."""
+    properties = {name: described(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
+    required = [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+
+
+def described(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:
+    """Returns the JSON schema of a key with its meaning and unit, which editors show."""
+    return {**schema, "description": f"{meaning}{f' [{unit}]' if unit else ''}"}
 
 
 def _key(annotation: Any) -> Key:

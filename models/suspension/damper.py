@@ -163,6 +163,11 @@ class Coefficient(Key):
             return SI(self.unit, low=self.low).number(HERE, value)
         return curve_of(HERE, value, VELOCITY)
 
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a number, or of a table."""
+        return {"anyOf": [SI(self.unit, low=self.low).json, {"type": "object"}]}
+
 
 @dataclass(frozen=True)
 class ActuatorSection(Section):
