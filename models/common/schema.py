@@ -23,6 +23,7 @@ from models.common.units import in_unit
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
 HERE = "\N{WHITE SQUARE}"  # in the message of a validator: `read` replaces it by section and key; ".NAME" after it is a key below
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # Pydantic's types of errors of unknown keys
 PLACES = re.compile(HERE + r"(?:\.(\w+))?")
 
 
@@ -160,14 +161,15 @@ class Choice(Key):
 
 @dataclass(frozen=True)
 class Text(Key):
-    """A text."""
+    """A text; `more` ends the message for another value."""
 
     meaning: str = ""
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if not isinstance(value, str):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
         return value
 
     @property
@@ -220,7 +222,7 @@ class AnyTable(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table."""
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table")
+            raise InputError(f"{HERE} = {quoted(value)} is not a section; write its name in single brackets, and its keys below")
         return value
 
     @property
@@ -312,7 +314,8 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
             given = section.prepared(given)
         return _adapter(section).validate_python(given, context=context)
     except ValidationError as error:
-        raise InputError(_message(where, section, given, error.errors(include_url=False)[0])) from None
+        unknown_first = sorted(error.errors(include_url=False), key=lambda one: one["type"] not in UNKNOWN)
+        raise InputError(_message(where, section, given, unknown_first[0])) from None
 
 
 @functools.cache
@@ -329,7 +332,7 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
         key = keys(section)[loc[-1]]
         unit = f" [{key.unit}]" if key.unit else ""
         return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
-    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+    if kind in UNKNOWN:
         if hint := section.hints.get(str(loc[-1])):
             return f"{where} {quoted(loc[-1])} {hint}".lstrip()
         return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()

@@ -21,7 +21,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, read
+from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema, read
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
@@ -307,7 +307,9 @@ class StopStiffness(Key):
         """The JSON schema of a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        return {"anyOf": [number, several, {"type": "object", "properties": {key: {} for key in TABLE_KEYS}}]}
+        from models.suspension.curve_reading import StopTableSection
+
+        return {"anyOf": [number, several, json_schema(StopTableSection)]}
 
 
 @dataclass(frozen=True)

@@ -182,9 +182,7 @@ class SurfaceTable(Section):
 
     velocity: Annotated[Values, VELOCITY]
     deflection: Annotated[Values, DEFLECTION]
-    force: Annotated[
-        tuple[Values, ...], Listed("lists of forces for each velocity, one force for each deflection", FORCE, least=2)
-    ]
+    force: Annotated[tuple[Values, ...], Listed("a list of forces for each velocity, one for each deflection", FORCE, least=2)]
 
     def __post_init__(self) -> None:
         widths = sorted({len(row) for row in self.force})

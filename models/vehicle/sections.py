@@ -170,37 +170,36 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     return named_files(roads)
 
 
-def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
-    """Returns the data of a vehicle file's text with SI numbers instead of numbers with units, such as "22 N/mm"."""
+def in_si_units(text: str, controllers: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
+    """Returns `[controllers]` with SI numbers instead of numbers with units, such as "2 Hz"."""
     if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
-        return data
+        return controllers
     from models.vehicle.written_units import in_si
 
-    return in_si(data, kind)
+    return in_si(controllers, kind)
 
 
 def curves_and_parameters(
-    data: Mapping[str, Any], kind: VehicleKind
+    section: Mapping[str, Any], parameters: Mapping[str, Any], kind: VehicleKind
 ) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
-    if not data.get("curves"):
-        return {}, kind.check(data["parameters"]), kind
-    from models.suspension.curve_reading import read_curves
-    from models.suspension.fitted_curves import curvable, with_slopes
+    curves, slopes = dict[str, "ForceCurve"](), dict[str, float]()
+    if section:
+        from models.suspension.curve_reading import read_curves
+        from models.suspension.fitted_curves import curvable, with_slopes
 
-    over, ratios = curvable(kind.suspensions), _ratios(data["curves"], kind)
-    section = {name: entry for name, entry in data["curves"].items() if name not in ratios}
-    at_rest = {name: table.at_rest for name, table in ratios.items()}
-    anything = {name: 1.0 for name in section if name in over} | at_rest  # the loads do not depend on it
-    curves = read_curves(
-        section, over, lambda name: static_loads(kind, kind.check_each({**data["parameters"], **anything})).get(name)
-    )
-    kind = replace(kind, ratios=ratios) if ratios else kind
-    return (
-        curves,
-        kind.check(with_slopes(data["parameters"], {name: curve.slope for name, curve in curves.items()} | at_rest)),
-        kind,
-    )
+        over, ratios = curvable(kind.suspensions), _ratios(section, kind)
+        at_rest = {name: table.at_rest for name, table in ratios.items()}
+        entries = {name: entry for name, entry in section.items() if name not in ratios}
+        anything = {name: 1.0 for name in entries if name in over} | at_rest  # the loads do not depend on it
+        with_any, own = {**parameters, **anything}, kind
+        curves = read_curves(entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name))
+        kind = replace(kind, ratios=ratios) if ratios else kind
+        slopes = {name: curve.slope for name, curve in curves.items()} | at_rest
+        parameters = with_slopes(parameters, slopes)
+    with error_in("[parameters]"):
+        checked = kind.check_each(parameters)
+    return curves, kind.check(checked), kind
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTable]":
@@ -393,21 +392,19 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
 
 
 def dampers_of(
-    data: Mapping[str, Any],
+    section: Mapping[str, Any],
+    controllers: Mapping[str, Any],
     kind: VehicleKind,
     limits: "Limits",
     parameters: Mapping[str, float],
     curves: Mapping[str, "ForceCurve"],
 ) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
     """Reads `[actuators]`. Returns the dampers, and the adjustable dampers of the vehicle."""
-    if not data.get("actuators"):
-        return {}, ()
     from models.suspension.adjustable_dampers import adjustable
     from models.suspension.damper import read_actuators
 
-    sections = data.get("controllers", {}).values()
-    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
-    dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
+    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
+    dampers = read_actuators(section, kind.corners, () if forced else limits.of_actuators)
     tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
 
@@ -427,8 +424,6 @@ def with_payload(
     Raises:
         InputError: a key or value is not allowed, or the vehicle cannot carry it so.
     """
-    if not section:
-        return parameters, limits, kind
     from models.vehicle.payload import laden
 
     return laden(section, kind, parameters, limits, curves)

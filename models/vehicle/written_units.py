@@ -10,16 +10,16 @@ from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
 SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
-def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
-    """Returns the data of a vehicle file with SI numbers instead of numbers with units.
+def in_si(controllers: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
+    """Returns `[controllers]` with SI numbers instead of numbers with units.
 
     Args:
-        kind: kind of the vehicle, whose parameters and signals have units.
+        kind: kind of the vehicle, whose signals have units.
 
     Raises:
         InputError: a unit is unknown, or of another dimension than its key.
     """
-    signals = {one.name: one.unit for one in (*kind.signals, *kind.on_demand, *(part.velocity for part in kind.suspensions))}
+    signals = {name: one.unit for name, one in kind.possible.items()}
 
     def bound(given: Any) -> dict[str, Any]:
         signal = next((given[key] for key in ("peak", "energy_peak") if key in given), "") if isinstance(given, Mapping) else ""
@@ -31,11 +31,7 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
         "loads": {"*": "N", PITCH_LOAD.name: "N m", ROLL_LOAD.name: "N m"}, "pid": {"filter": "s"}, "tolerance": "1",
         "minimise": {"band": "Hz"}, "bounds": bound, "fastest_pole": "rad/s",
     }  # fmt: skip
-    units = {
-        "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
-        "controllers": {"*": controller},
-    }
-    return {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
+    return _in_si(controllers, {"*": controller}, ("controllers",))
 
 
 def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:

@@ -15,6 +15,7 @@ from models.suspension.motion_ratio import RatioSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
+from models.vehicle.vehicle import VehicleFile
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 
@@ -29,6 +30,7 @@ SECTIONS = {  # each with a table that is right
     SpringTable: {"deflection": [-0.1, 0.1], "force": [-9.0, 9.0]},
     SurfaceTable: {"velocity": [-1.0, 1.0], "deflection": [-0.1, 0.1], "force": [[-9.0, -8.0], [9.0, 8.0]]},
     RatioSection: {"deflection": [-0.1, 0.1], "ratio": [0.6, 0.7]},
+    VehicleFile: {"type": "quarter_car", "parameters": {}, "performance": {}},
     FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
     WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},

@@ -31,8 +31,8 @@ CHANGES = [
         ["'comfort'", "controllers, curves, implementation, limits, parameters, payload, performance, type"],
     ),
     ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
-    ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
-    ("type is a number", '"quarter_car"', "4", ["type = 4", "known: "]),
+    ("no type", 'type = "quarter_car"', "", ["type is missing", "`roadproof new`"]),
+    ("type is a number", '"quarter_car"', "4", ["type = 4", 'type = "quarter_car"']),
     ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
     ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
     ("negative mass", MASS, "sprung_mass = -504.5", ["sprung_mass = -504.5", "from 1e-06 to 1e+12 kg"]),
@@ -208,8 +208,8 @@ def test_what_is_added_wrongly_is_named(kind, lines, said):
     [
         ("[performance]\n", "has no weight above 0"),
         ("[performance]\nsprung_acceleration = 0.0\n", "has no weight above 0"),
-        ("performance = 1.0\n", "write it as [performance]"),
-        ("", "'performance' is missing"),
+        ("performance = 1.0\n", "write its name in single brackets"),
+        ("", "performance is missing"),
     ],
 )
 def test_a_design_needs_weights(text, section, said):
@@ -226,7 +226,7 @@ def test_controllers_are_sections(text):
     head = text.split("[controllers.I]")[0]
     with pytest.raises(InputError, match=r"\[controllers.mine\] is not a section"):
         parse_vehicle(f"{head}[controllers]\nmine = 3\n")
-    with pytest.raises(InputError, match=r"write it as \[controllers\]"):
+    with pytest.raises(InputError, match=r"controllers = .* single brackets"):
         parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
 
 
@@ -244,10 +244,10 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
         (None, "there is no such file"),
         ("folder", "is a folder"),
         (bytes(range(256)), "not a text file in UTF-8"),
-        (b"", "'type' is missing"),
+        (b"", "type is missing"),
         (
             b'type = "x"\n[parameters]',
-            "'performance' is missing; give parameters, performance, type, as `roadproof new` writes",
+            "performance is missing; give performance: weights of signals, as `roadproof new` writes",
         ),
     ],
 )
