@@ -21,6 +21,7 @@ from models.kinds.signals import (
     UNSPRUNG_ACCELERATION,
     UNSPRUNG_VELOCITY,
     Signal,
+    names_of,
 )
 from models.suspension import SuspensionParts
 
@@ -410,7 +411,7 @@ class VehicleKind(Checked):
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
-            model = self.whole_model(parameters).of({signal.name for signal in self.signals})
+            model = self.whole_model(parameters).of(names_of(self.signals))
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             kept[key] = model
@@ -441,7 +442,7 @@ class VehicleKind(Checked):
         """The suspensions, from `suspended` or from the usual names."""
         if self.suspended is not None:
             return tuple(self.suspended)
-        names, suspensions = [signal.name for signal in self.signals], []
+        names, suspensions = names_of(self.signals), []
         for name in names:
             ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
             if ending != name:

@@ -16,7 +16,7 @@ the band limits, the step from acceleration to velocity, and the upward step, wh
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -155,16 +155,8 @@ class Filter:
         return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
 
 
-class Polynomial(Listed):
-    """Coefficients in descending powers of s."""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the coefficients without leading zeros."""
-        return _polynomial(HERE, super().read(value, context))
-
-
-POLYNOMIAL = Polynomial(
-    "coefficients of a filter in descending powers of s", SI("1", low=-LARGEST, high=LARGEST), more=", in descending powers of s"
+POLYNOMIAL = Listed(
+    "coefficients of a filter in descending powers of s", SI("1", "", -LARGEST, LARGEST), ", in descending powers of s"
 )
 
 
@@ -173,10 +165,6 @@ class FilterSection(Section):
     """A filter in a vehicle file: the name of a known one, or its coefficients."""
 
     integrates: ClassVar[bool] = False  # True if the filter may have a pole at 0
-    hints: ClassVar[Mapping[str, str]] = {
-        "weight": "is not allowed here; give numerator and denominator, without weight",
-        "sum": "is not allowed here; give numerator and denominator, or, to weight a sum, another name",
-    }
 
     filter: (
         Annotated[str, Choice("name of a weighting of ISO 2631-1", (*WEIGHTINGS,), ", or a numerator and a denominator")] | None

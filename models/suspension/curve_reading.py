@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -43,6 +44,7 @@ SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistak
 UNLOADED = 0.01  # of a spring's largest pull: a table that carries less has its signs reversed
 MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; over the largest force
 FRICTION = ("friction", "friction_velocity")
+ALONE = "is not allowed: a position-dependent damper cannot have friction, or other elements next to it; give it alone"
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,8 @@ class SpringTable(StopTableSection):
 class DamperTable(CurveTable):
     """Force of a damper, with friction F tanh(v / v0)."""
 
+    hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
+
     velocity: Annotated[Values, VELOCITY] | None = None
     friction: Annotated[float, SI("N", "F of a friction F tanh(v / v0)", 1e-3, 1e5)] | None = None
     friction_velocity: Annotated[float, SI("m/s", "v0 of the friction", 1e-4, 1.0)] | None = None
@@ -179,6 +183,8 @@ class DamperTable(CurveTable):
 @dataclass(frozen=True)
 class SurfaceTable(Section):
     """Force of a damper over velocity and deflection."""
+
+    hints: ClassVar[Mapping[str, str]] = dict.fromkeys(FRICTION, ALONE)
 
     velocity: Annotated[Values, VELOCITY]
     deflection: Annotated[Values, DEFLECTION]
@@ -212,16 +218,9 @@ def read_curves(
             raise InputError(
                 f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
-        where = f"[curves] {name}"
-        tables = [one for one in (entry if isinstance(entry, list) else [entry]) if isinstance(one, Mapping)]
-        if parameters[name] is VELOCITY and any("deflection" in one for one in tables):
-            if isinstance(entry, list) or set(FRICTION) & set(entry):
-                raise InputError(
-                    f"{where}: a position-dependent damper cannot have friction, or other elements next to it; give it alone"
-                )
-            curves[name] = _surface(where, entry)
-        else:
-            curves[name] = curve_of(where, entry, parameters[name], lambda name=name: load(name))
+        where, over = f"[curves] {name}", parameters[name]
+        positional = over is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
+        curves[name] = _surface(where, entry) if positional else curve_of(where, entry, over, partial(load, name))
     return curves
 
 
@@ -235,10 +234,12 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
     Raises:
         InputError: the entry is not a curve, or not one that a suspension can have.
     """
-    entries, section = entry if isinstance(entry, list) else [entry], DamperTable if over is VELOCITY else SpringTable
-    numbers = [one for one in entries if isinstance(entry, list) and not isinstance(one, Mapping)]
-    slopes = [SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one) for one in numbers]
-    tables = [read(where, section, one) for one in entries if isinstance(one, Mapping) or not isinstance(entry, list)]
+    slopes, tables = [], []
+    for one in entry if isinstance(entry, list) else [entry]:
+        if isinstance(one, Mapping) or one is entry:
+            tables.append(read(where, DamperTable if over is VELOCITY else SpringTable, one))
+        else:
+            slopes.append(SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one))
     tables.sort(key=lambda one: one.preload is True)  # it carries what the others leave
     with error_in(f"{where}:"):
         return _sum(slopes, tables, over, load)

@@ -94,7 +94,6 @@ class WeightSection(FilterSection):
     """A signal or a sum of signals in `[performance]`. A number is its weight."""
 
     integrates: ClassVar[bool] = True
-    hints: ClassVar[Mapping[str, str]] = {}
 
     weight: Annotated[float, WEIGHT] = 1.0
     sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
@@ -407,26 +406,6 @@ def dampers_of(
     dampers = read_actuators(section, kind.corners, () if forced else limits.of_actuators)
     tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
-
-
-def with_payload(
-    section: Mapping[str, Any],
-    kind: VehicleKind,
-    parameters: dict[str, float],
-    limits: "Limits",
-    curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, float], Limits, VehicleKind]":
-    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
-
-    The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
-    added to the rebound strokes.
-
-    Raises:
-        InputError: a key or value is not allowed, or the vehicle cannot carry it so.
-    """
-    from models.vehicle.payload import laden
-
-    return laden(section, kind, parameters, limits, curves)
 
 
 def goals_of(

@@ -45,7 +45,6 @@ from models.vehicle.sections import (
     settled,
     suspension_doubts,
     whole_text,
-    with_payload,
 )
 
 if TYPE_CHECKING:
@@ -648,7 +647,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, given.parameters, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
-        parameters, limits, vehicle_kind = with_payload(given.payload, vehicle_kind, parameters, limits, curves)
+        from models.vehicle.payload import laden
+
+        parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
     section, dampers, adjusted = ImplementationSection(), dict[str, "Damper"](), ()
     if given.implementation:
