@@ -123,7 +123,6 @@ class CurveTable(Table):
     """Force at some points, straight between these."""
 
     preload: ClassVar[Any] = False
-    friction: ClassVar[float | None] = None
 
     force: Annotated[Values, FORCE] | None = None
     fit_error: Annotated[float, SI("1", "largest error of the lines, over the largest force", high=LARGEST_ERROR)] | None = None
@@ -258,7 +257,8 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
             if whole is None or sum(each.preload is True for each in tables) > 1:
                 raise InputError("the load of this spring is unknown; give preload in N, and true for one table at most")
             preload = whole + sum(at_rest for _, _, at_rest in parts)
-        parts.append(_part(*one.points, over, preload, alone=count == 1))
+        x, force = one.points
+        parts.append(_part(x, force, over, preload, alone=count == 1))
     x, force, _ = parts[0]
     if count > 1:
         x = _knots([x for x, _, _ in parts])
@@ -270,7 +270,8 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
     if (error := float(np.abs(np.interp(x, ends, forces) - force).max())) > ROUNDING * curve.range:
         curve = replace(curve, whole=ForceCurve(x, force, slope_at_rest(x, force), ""), error=error)
     for one in tables:
-        curve = curve if one.friction is None else _with_friction(curve, one.friction, one.friction_velocity)
+        if getattr(one, "friction", None) is not None:
+            curve = _with_friction(curve, one.friction, one.friction_velocity)
     note = "; ".join(one.note for one in tables if one.note)
     words = f"{curve.words}; {note}" if note else curve.words
     return replace(curve, words=words, note=note, at_rest=sum(at_rest for _, _, at_rest in parts))

@@ -99,7 +99,7 @@ class WeightSection(FilterSection):
     sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
 
     @cached_property
-    def shape(self) -> Filter | None:
+    def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The filter; None for a constant weight."""
         return None if self.filter is self.numerator is self.denominator is None else super().shape
 
