@@ -29,7 +29,6 @@ from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
-from models.laws import filter as weights
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
 from models.laws.goals import BOUNDS, Minimise
@@ -42,11 +41,13 @@ from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
 from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
-from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
+from models.suspension.curve_reading import DamperTable, SpringTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
+from models.vehicle.sections import WeightSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
@@ -206,7 +207,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         for name in kinds()
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
-    sections["[performance]"] += [(key, "", "part of a frequency-dependent weight") for key in weights.KEYS]
+    sections["[performance]"] += section_keys(WeightSection)
     sections["[controllers.NAME]"] = section_keys(ControllerSection)
     sections["minimise of a controller"] = section_keys(Minimise)
     bounds = [row for one in BOUNDS for row in section_keys(one)]
@@ -214,10 +215,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["pid of a controller"] = section_keys(PidSection)
     sections["[limits]"] = section_keys(LimitsSection)
     sections["[implementation]"] = section_keys(ImplementationSection)
-    sections["[curves]"] = [
-        (key, "", "remark on the table, printed as a warning" if key == "note" else "")
-        for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))
-    ]
+    tables = (DamperTable, SpringTable, RatioSection)
+    sections["[curves]"] = list({row[0]: row for section in tables for row in section_keys(section)}.values())
     sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(PayloadSection)
     sections["a campaign file"] = section_keys(CampaignFile)

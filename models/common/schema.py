@@ -24,6 +24,7 @@ from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
 MOST_SEED = 2**63 - 1
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # Pydantic's types of errors of unknown keys
 PLACES = re.compile(HERE + r"(?:\.(\w+))?")  # `read` replaces it by section and key; ".NAME" after it is a key below
 
 
@@ -159,14 +160,15 @@ class Choice(Key):
 
 @dataclass(frozen=True)
 class Text(Key):
-    """A text."""
+    """A text; `more` ends the message for another value."""
 
     meaning: str = ""
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if not isinstance(value, str):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
         return value
 
     @property
@@ -177,20 +179,25 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class Listed(Key):
-    """A list with at least one value, each of which another key reads; `more` ends the message for another value."""
+    """A list of values, each of which another key reads; `more` ends the message for a list of another length."""
 
     meaning: str = ""
     each: Key = Text()
     more: str = ""
     least: int = 1
+    most: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unit", self.each.unit)
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
         """Returns the values."""
-        if not isinstance(value, list | tuple) or len(value) < self.least:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value{self.more}")
+        listed = isinstance(value, list | tuple)
+        if not listed or not self.least <= len(value) <= (self.most or len(value)):
+            wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
+            least = "one value" if self.least == 1 else f"{self.least} values"
+            most = f", and at most {self.most}" if self.most else ""
+            raise InputError(f"{HERE} {wrong}; give a list of at least {least}{most}{self.more}")
         items = []
         for i, one in enumerate(value):
             try:
@@ -214,7 +221,7 @@ class AnyTable(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table."""
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table")
+            raise InputError(f"{HERE} = {quoted(value)} is not a section; write its name in single brackets, and its keys below")
         return value
 
     @property
@@ -363,13 +370,17 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
     from pydantic import ValidationError
 
     if not isinstance(given, Mapping):
-        raise InputError(f"{where} = {quoted(given)} is not a section; write {where} once, and its keys below")
+        write = f"section; write {where} once, and its keys below"
+        if not where.endswith("]"):
+            write = f"table; give {{ ... }} with keys of {listing(keys(section))}"
+        raise InputError(f"{where} = {quoted(given)} is not a {write}")
     try:
         with error_in(where):
             given = section.prepared(given)
         return _adapter(section).validate_python(given, context=context)
     except ValidationError as error:
-        raise InputError(_message(where, section, given, error.errors(include_url=False)[0])) from None
+        unknown_first = sorted(error.errors(include_url=False), key=lambda one: one["type"] not in UNKNOWN)
+        raise InputError(_message(where, section, given, unknown_first[0])) from None
 
 
 def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
@@ -411,7 +422,7 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
         key = keys(section)[loc[-1]]
         unit = f" [{key.unit}]" if key.unit else ""
         return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
-    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+    if kind in UNKNOWN:
         if hint := section.hints.get(str(loc[-1])):
             return f"{where} {quoted(loc[-1])} {hint}".lstrip()
         return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()

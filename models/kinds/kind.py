@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite, number_within
+from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite
 from models.common.errors import InputError, alike
+from models.common.schema import LARGEST, SI, SMALLEST
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     CONTROL_FORCE,
@@ -20,13 +21,12 @@ from models.kinds.signals import (
     UNSPRUNG_ACCELERATION,
     UNSPRUNG_VELOCITY,
     Signal,
+    names_of,
 )
 from models.suspension import SuspensionParts
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
-
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; parameters beyond these are mistakes, and rounding would decide
 
 
 @dataclass(frozen=True)
@@ -95,19 +95,13 @@ class Parameter(Checked):
         Raises:
             InputError: the value is not a number of the allowed range.
         """
-        return number_within(self.name, value, self.least, self.largest, self.unit)
+        return self.number.number(self.name, value)
 
     @property
-    def least(self) -> float:
-        """Smallest allowed value."""
-        return self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the number."""
-        from models.common.schema import SI
-
-        return SI(self.unit, low=self.least, high=self.largest).json
+    def number(self) -> SI:
+        """Unit, meaning and range, as those of a key of a section."""
+        least = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
+        return SI(self.unit, self.meaning, least, self.largest)
 
 
 def motion_ratio(name: str) -> Parameter:
@@ -125,7 +119,6 @@ HERE = Path(__file__).parent.parent  # folder of the shipped kinds
 GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
-OF_SUSPENSION = ("suspension_stiffness", "suspension_damping", "motion_ratio")  # beginnings of its parameters' usual names
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
 UNMOVED = 1e-12  # of the largest acceleration by a force: less is rounding
@@ -348,16 +341,15 @@ class VehicleKind(Checked):
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
         """Returns the kind with those of the signals on demand that are named, after its other signals."""
-        known = {signal.name for signal in self.signals}
-        more = (*self.on_demand, *(suspension.velocity for suspension in self.suspensions))
-        named = tuple(signal for signal in more if signal.name in names and signal.name not in known)
+        more = [*self.possible.values()][len(self.signals) :]
+        named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
-    def units_of(self, names: Iterable[str]) -> dict[str, str]:
-        """Returns the unit of each of some signals, by name; signals on demand count, too."""
-        known = (*self.signals, *self.on_demand, *(suspension.velocity for suspension in self.suspensions))
-        units = {signal.name: signal.unit for signal in known}
-        return {name: units[name] for name in names}
+    @cached_property
+    def possible(self) -> dict[str, Signal]:
+        """All signals that a vehicle of the kind can have, by name: its own, those on demand, and suspension velocities."""
+        velocities = (part.velocity for part in self.suspensions)
+        return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def carrying(self, parameters: Parameters) -> "VehicleKind":
         """Returns the kind with loads on the wheels, if vehicles of these parameters have some."""
@@ -376,8 +368,8 @@ class VehicleKind(Checked):
         A ratio that changes with travel turns the preload: of its springs that is part of the rate. The ratios are then 1, or
         are left out if they are tables.
         """
-        parts = [part for part in self.suspensions if part.ratio in parameters]
-        parts = [part for part in parts if parameters[part.ratio] != 1 or part.ratio in self.ratios]
+        given = [part for part in self.suspensions if part.ratio in parameters]
+        parts = [part for part in given if parameters[part.ratio] != 1 or part.ratio in self.ratios] if given else []
         if not parts:
             return parameters
         rates = dict(parameters)
@@ -415,17 +407,11 @@ class VehicleKind(Checked):
         ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
         return {force: ratios.get(force, 1.0) for force in forces}
 
-    def _at_ratios(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model of the kind with its elements at their motion ratios."""
-        model = self.linear_model(self.at_wheels(parameters))
-        return model.geared(np.array([*self.motion_ratios(parameters, model.inputs).values()]))
-
     def model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
-            names = {signal.name for signal in self.signals}
-            model = self._with_rates(self._at_ratios(parameters).without(self.unnamed), names)
+            model = self.whole_model(parameters).of(names_of(self.signals))
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             kept[key] = model
@@ -436,35 +422,48 @@ class VehicleKind(Checked):
         return {}
 
     def whole_model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with all possible signals: those on demand, and the suspensions' velocities."""
-        model = self._at_ratios(parameters)
-        return self._with_rates(model, {part.velocity.name for part in self.suspensions if model.has_rate(part.deflection)})
+        """Returns the linear model with all possible signals, its elements at their motion ratios.
 
-    def _with_rates(self, model: LinearModel, names: Collection[str]) -> LinearModel:
-        """Returns the model with the named suspension velocities that it lacks."""
-        rates = {part.velocity.name: part.deflection for part in self.suspensions}
-        return model.with_rates({name: of for name, of in rates.items() if name in names and name not in model.outputs})
+        These are also the signals on demand, and the suspensions' velocities that it lacks.
+        """
+        at_wheels = self.at_wheels(parameters)
+        model = self.linear_model(at_wheels)
+        if at_wheels is not parameters:
+            model = model.geared(np.array([*self.motion_ratios(parameters, model.inputs).values()]))
+        rates = dict[str, str]()
+        for part in self.suspensions:
+            name = part.velocity.name
+            if name not in model.outputs and (model.has_rate(part.deflection) or part.velocity in self.signals):
+                rates[name] = part.deflection
+        return model.with_rates(rates)
 
     @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
         """The suspensions, from `suspended` or from the usual names."""
         if self.suspended is not None:
             return tuple(self.suspended)
-        names = [signal.name for signal in self.signals]
-        suspensions = []
+        names, suspensions = names_of(self.signals), []
         for name in names:
-            if name.startswith(SUSPENSION_DEFLECTION.name):
-                ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
+            ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
+            if ending != name:
                 force = f"{CONTROL_FORCE.name}{ending}"
-                parameters = (self.of_corner(part, ending) for part in OF_SUSPENSION)
-                suspensions.append(Suspension(name, f"suspension{ending}", force if force in names else "", *parameters))
+                one = Suspension(
+                    deflection=name,
+                    tendon=f"suspension{ending}",
+                    force=force if force in names else "",
+                    stiffness=self.of_corner("suspension_stiffness", ending),
+                    damping=self.of_corner("suspension_damping", ending),
+                    ratio=self.of_corner("motion_ratio", ending),
+                )
+                suspensions.append(one)
         return tuple(suspensions)
 
     def of_corner(self, parameter: str, ending: str) -> str:
         """Returns the parameter at a corner, or of its axle, or of the whole vehicle; empty if the kind has no such parameter."""
-        corners, names = ending.split("_"), {known.name for known in self.parameters}
-        beginnings = ("_".join((parameter, *corners[1:count])) for count in range(len(corners), 0, -1))
-        return next((name for name in beginnings if name in names), "")
+        names = {known.name for known in self.parameters}
+        while ending and f"{parameter}{ending}" not in names:
+            ending = ending.rpartition("_")[0]
+        return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
         """Returns the invariants of a vehicle: those of its kind, or none if a tyre damps.
@@ -514,12 +513,15 @@ class VehicleKind(Checked):
             if name not in names:
                 why = "".join(f" ({said})" for beginning, said in self.lacking.items() if name.startswith(beginning))
                 raise InputError(f"unknown parameter {name!r}; a {self.name} has {alike(name, names)}{why}")
-        parameters = {part.name: part.usual for part in self.parameters if part.usual is not None} | dict(parameters)
-        for parameter in self.parameters:
-            if parameter.name not in parameters and not parameter.optional:
-                raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
-        given = [parameter for parameter in self.parameters if parameter.name in parameters]
-        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in given}
+        checked = dict[str, float]()
+        for one in self.parameters:
+            if one.name in parameters:
+                checked[one.name] = one.check(parameters[one.name])
+            elif one.usual is not None:
+                checked[one.name] = float(one.usual)
+            elif not one.optional:
+                raise InputError(f"parameter {one.name!r} [{one.unit}] is missing: {one.meaning}")
+        return checked
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
         """Returns all parameters, checked, in the kind's order.

@@ -13,6 +13,7 @@ held over a step moves deflections between steps, and pushes by its mean velocit
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 
@@ -138,12 +139,12 @@ class LinearModel:
         """The same on the output signals, shape (p, l) or (p, l + r)."""
         return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
 
-    def without(self, outputs: Collection[str]) -> "LinearModel":
-        """Returns the model without some of its output signals."""
-        kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
-        names = tuple(self.outputs[i] for i in kept)
-        rows = {name: getattr(self, name)[kept] for name in ("C", "D", "Cr", "Dl", "Dw")}
-        return replace(self, outputs=names, heights=tuple(name for name in self.heights if name in names), **rows)
+    def of(self, outputs: Collection[str]) -> "LinearModel":
+        """Returns the model with some of its output signals, in their order."""
+        chosen = [name in outputs for name in self.outputs]
+        names = tuple(compress(self.outputs, chosen))
+        rows = {name: getattr(self, name)[chosen] for name in ("C", "D", "Cr", "Dl", "Dw")}
+        return replace(self, outputs=names, heights=tuple(self.over_datum(names)), **rows)
 
     def has_rate(self, output: str) -> bool:
         """Returns True if the time derivative of an output signal is an output: the road and the forces must not act on it at
@@ -154,6 +155,8 @@ class LinearModel:
 
     def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
         """Returns the model with time derivatives of output signals, {name of the derivative: signal}, as further outputs."""
+        if not rates:
+            return self
         index = [self.outputs.index(name) for name in rates.values()]
         rows = {
             "C": self.C[index] @ self.A,
@@ -163,7 +166,7 @@ class LinearModel:
             "Dw": np.zeros((len(index), len(self.disturbances))),
         }
         more = {name: np.vstack([getattr(self, name), more_rows]) for name, more_rows in rows.items()}
-        return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
+        return replace(self, outputs=(*self.outputs, *rates), **more)
 
     def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
         """Returns the model with integrals of sums of output signals as further states, each an output of that name.

@@ -48,6 +48,7 @@ from models.kinds.signals import (
     SUSPENSION_DEFLECTION,
     TYRE_DEFLECTION,
     Signal,
+    names_of,
 )
 from models.kinds.strut_and_tyre import write_strut, write_tyre
 
@@ -267,7 +268,7 @@ def linear_model(
     over_datum = np.vstack([q @ (d + t), d + t, t])
     C, Cr = np.vstack([C, over_datum]), np.vstack([Cr, q @ held, held, held])
     D, Dw, Dl = (np.vstack([part, np.zeros((len(over_datum), part.shape[1]))]) for part in (D, Dw, Dl))
-    names = tuple(signal.name for signal in outputs)
+    names = names_of(outputs)
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
         A=A,
@@ -275,9 +276,9 @@ def linear_model(
         Bw=Bw,
         C=C,
         D=D,
-        states=tuple(signal.name for signal in states),
-        inputs=tuple(signal.name for signal in inputs),
-        disturbances=tuple(signal.name for signal in disturbances),
+        states=names_of(states),
+        inputs=names_of(inputs),
+        disturbances=names_of(disturbances),
         outputs=names,
         Br=Br,
         Cr=Cr,

@@ -69,6 +69,12 @@ PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "external moment on the body
 ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "external moment on the body, right side down")
 WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force on the wheel by links and by the inertia of its own mass, up")
 
+
+def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
+    """Returns the names of signals."""
+    return tuple(signal.name for signal in signals)
+
+
 OWN = "own"  # unit of a controller's state, whose meaning only its law knows
 KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
 

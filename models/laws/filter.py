@@ -16,17 +16,17 @@ the band limits, the step from acceleration to velocity, and the upward step, wh
 
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.schema import HERE, SI, Choice, Listed, Section
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
@@ -57,7 +57,6 @@ WEIGHTINGS: dict[str, tuple[Biquad, ...]] = {
 
 
 POLYNOMIALS = ("numerator", "denominator")
-KEYS = ("weight", "filter", *POLYNOMIALS)
 MOST = 12  # of a polynomial's degree: roots of higher ones move by more than rounding
 SMALLEST, LARGEST = 1e-60, 1e60  # of a coefficient: those of degree 12 at the fastest pole
 SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; others are irrelevant to roads and cars
@@ -156,38 +155,40 @@ class Filter:
         return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
 
 
-def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) -> Filter:
-    """Reads a filter of a vehicle file: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
+POLYNOMIAL = Listed(
+    "coefficients of a filter in descending powers of s", SI("1", "", -LARGEST, LARGEST), ", in descending powers of s"
+)
 
-    Args:
-        integrates: True if it may have a pole at 0.
 
-    Raises:
-        InputError: the table is not a filter.
-    """
-    name, there = given.get("filter"), [key for key in POLYNOMIALS if key in given]
-    if "filter" in given:
-        if there:
-            raise InputError(f"{where} has both filter and {there[0]}; give only one of them")
-        if not isinstance(name, str) or name not in WEIGHTINGS:
-            raise InputError(f"{where} filter = {quoted(name)} is unknown; give {_known()}, or a numerator and a denominator")
-        return Filter(WEIGHTINGS[name], name)
-    if len(there) < len(POLYNOMIALS):
-        raise InputError(
-            f"{where} is not a filter; give the coefficients in descending powers of s as numerator = [...] and "
-            f"denominator = [...], or give filter = {_known()}"
-        )
-    for key in POLYNOMIALS:
-        if not isinstance(given[key], list):
+@dataclass(frozen=True)
+class FilterSection(Section):
+    """A filter in a vehicle file: the name of a known one, or its coefficients."""
+
+    integrates: ClassVar[bool] = False  # True if the filter may have a pole at 0
+
+    filter: (
+        Annotated[str, Choice("name of a weighting of ISO 2631-1", (*WEIGHTINGS,), ", or a numerator and a denominator")] | None
+    ) = None
+    numerator: Annotated[tuple[float, ...], POLYNOMIAL] | None = None
+    denominator: Annotated[tuple[float, ...], POLYNOMIAL] | None = None
+
+    def __post_init__(self) -> None:
+        if self.filter is not None and (self.numerator, self.denominator) != (None, None):
+            raise InputError(f"has both filter and {POLYNOMIALS[self.numerator is None]}; give only one of them")
+        with error_in(f"{HERE}:"):
+            _ = self.shape
+
+    @functools.cached_property
+    def shape(self) -> Filter:
+        """The filter."""
+        if self.filter is not None:
+            return Filter(WEIGHTINGS[self.filter], self.filter)
+        if self.numerator is None or self.denominator is None:
             raise InputError(
-                f"{where} {key} = {quoted(given[key])} is not a list; list its coefficients in descending powers of s"
+                "is not a filter; give the coefficients in descending powers of s as numerator = [...] and denominator = [...], "
+                f"or give filter = {listing(WEIGHTINGS)}"
             )
-    with error_in(f"{where}:"):
-        return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
-
-
-def _known() -> str:
-    return listing([f'"{name}"' for name in WEIGHTINGS])
+        return Filter(((self.numerator, self.denominator),), integrates=self.integrates)
 
 
 def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
@@ -260,6 +261,8 @@ def _controllable(above: Sequence[float], below: Sequence[float]) -> Realisation
     A = rate * np.vstack([-a[1:], np.eye(k)[:-1]])
     B, C = rate * np.eye(k)[:, :1], (b[1:] - b[0] * a[1:])[None]
     whole = np.block([[A, B], [C, np.zeros((1, 1))]])
+    from scipy import linalg
+
     _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     unit = scale[:k] / scale[k]
     return Realisation(A / unit[:, None] * unit, B / unit[:, None], C * unit, b[:1, None])

@@ -14,9 +14,9 @@ from typing import Annotated, Any
 
 from models.common.checks import is_finite, number_within
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text
+from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
 from models.common.units import in_unit
-from models.laws.filter import POLYNOMIALS, Filter, read_filter
+from models.laws.filter import Filter, FilterSection
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
@@ -189,9 +189,7 @@ def _error(where: str, given: Any) -> float | Filter:
     weight = given["weight"]
     if not isinstance(weight, Mapping):
         return Filter((((WEIGHT.number(f"{where}.weight", weight),), (1.0,)),))
-    if wrong := [key for key in weight if key not in (*POLYNOMIALS, "filter")]:
-        raise InputError(f"{where}.weight has the unknown key {quoted(wrong[0])}; give only numerator and denominator")
-    return read_filter(where, weight)
+    return read(f"{where}.weight", FilterSection, weight).shape
 
 
 def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool, ...], ...]:

@@ -20,16 +20,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, read
+from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema, read
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 
 if TYPE_CHECKING:
     from models.suspension.curve import ForceCurve, Pieces
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
-TABLE_KEYS = ("compression", "deflection", "force", "file", "fit_error", "note")
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
 ROUNDING = 1e-9  # of the largest force of a table: less is 0
@@ -293,8 +291,7 @@ class StopStiffness(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> "Stiffness":
         """Returns the stiffness."""
         if isinstance(value, Mapping):
-            with error_in(f"{HERE}:"):
-                return _stop_table(value)
+            return _stop_table(value)
         if not isinstance(value, (list, tuple)):
             return SI("N/m").number(HERE, value)
         if not 1 <= len(value) <= MOST:
@@ -310,7 +307,9 @@ class StopStiffness(Key):
         """The JSON schema of a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        return {"anyOf": [number, several, {"type": "object", "properties": {key: {} for key in TABLE_KEYS}}]}
+        from models.suspension.curve_reading import StopTableSection
+
+        return {"anyOf": [number, several, json_schema(StopTableSection)]}
 
 
 @dataclass(frozen=True)
@@ -371,22 +370,17 @@ def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, f
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
-    from models.suspension.curve_reading import DEFLECTION, in_si, points
+    from models.suspension.curve_reading import StopTableSection
 
-    check_keys("", value, TABLE_KEYS)
-    if "file" in value:
-        raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
-    if len([key for key in TABLE_KEYS[:3] if key in value]) != 2 or "force" not in value:
-        raise InputError("give { compression = [...], force = [...] }, or the name of a file in quotes")
-    value = in_si(value)
-    x, force = points(value, DEFLECTION)
-    x, force = -x[::-1], -force[::-1]
+    given = read(HERE, StopTableSection, value)
+    x, force = (-values[::-1] for values in given.points)
     if not force.any():
-        raise InputError("has a table without a force against bump or rebound")
+        raise InputError(f"{HERE} has a table without a force against bump or rebound")
     if x[-1] < 0 and not force[-1]:
         x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop that begins with contact
-    table = StopTable(tuple(x.tolist()), tuple(force.tolist()), value.get("fit_error"), str(value.get("note", "")))
-    _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
+    table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
+    with error_in(f"{HERE}:"):
+        _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
     return table
 
 

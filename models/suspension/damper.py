@@ -161,8 +161,7 @@ class Coefficient(Key):
         """Returns the coefficient, or the curve."""
         if not isinstance(value, Mapping):
             return SI(self.unit, low=self.low).number(HERE, value)
-        with error_in(f"{HERE}:"):
-            return curve_of(value, VELOCITY)
+        return curve_of(HERE, value, VELOCITY)
 
     @property
     def json(self) -> Mapping[str, Any]:

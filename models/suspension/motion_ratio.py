@@ -12,21 +12,21 @@ A bump stop has no preload and no lines. An actuator pushes with r(d) u, where r
 semi-active damper's coefficient acts through the same ratio.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_keys
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, error_in
+from models.common.schema import SI, read
 from models.suspension import RATIO
 from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.curve_lines import lines_from_rest
-from models.suspension.curve_reading import DEFLECTION, MOST_LINES, in_si, points
+from models.suspension.curve_reading import DEFLECTION, FORCE, MOST_LINES, Table
 from models.suspension.surface import ForceSurface, surface_of
 
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
@@ -197,22 +197,31 @@ def line(slope: float, low: float, high: float) -> ForceCurve:
     return ForceCurve(x, slope * x, slope, "a line")
 
 
-def ratio_table(entry: Any, check: Callable[[float], object]) -> RatioTable:
+@dataclass(frozen=True)
+class RatioSection(Table):
+    """Motion ratio over travel."""
+
+    arguments: ClassVar[tuple[str, ...]] = (DEFLECTION.name,)
+    of: ClassVar[str] = RATIO
+
+    deflection: Annotated[tuple[float, ...], DEFLECTION] | None = None
+    ratio: Annotated[tuple[float, ...], replace(FORCE, meaning="motion ratio at each of these", each=SI("1"))] | None = None
+
+
+def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
     """Returns a motion ratio from its table in a vehicle file.
 
     Args:
+        where: its place, for messages.
         check: raises an InputError for a ratio that is not allowed.
 
     Raises:
         InputError: the entry is not such a table.
     """
-    what = f'{{ {DEFLECTION.name} = [...], {RATIO} = [...] }}, or {{ file = "NAME.csv" }}'
-    if not isinstance(entry, Mapping) or {DEFLECTION.name, RATIO} - {*entry}:
-        raise InputError(f"{quoted(entry)} is not a motion ratio over travel; give {what}")
-    check_keys("", entry, (DEFLECTION.name, RATIO))
-    x, ratio = points(in_si(entry), DEFLECTION, RATIO)
-    if not x[0] < 0 < x[-1]:
-        raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
-    for one in ratio.tolist():
-        check(one)
+    x, ratio = read(where, RatioSection, entry).points
+    with error_in(f"{where}:"):
+        if not x[0] < 0 < x[-1]:
+            raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
+        for one in ratio.tolist():
+            check(one)
     return RatioTable(x, ratio)

@@ -20,7 +20,7 @@ def file_schema(name: str) -> dict[str, Any]:
         name: type of the vehicle, such as "quarter_car".
     """
     known = kind(name)
-    parameters = {one.name: described(one.json, one.meaning, one.unit) for one in known.parameters}
+    parameters = {one.name: described(one.number.json, one.meaning, one.unit) for one in known.parameters}
     corners = [part.corner for part in known.suspensions]
     payload, implementation = json_schema(PayloadSection), json_schema(ImplementationSection)
     for key in ("noise", "quantisation"):

@@ -44,7 +44,14 @@ class PayloadSection(Section):
 def laden(
     section: Mapping[str, Any], kind: VehicleKind, parameters: dict[str, float], limits: Limits, curves: Mapping[str, ForceCurve]
 ) -> tuple[dict[str, float], Limits, VehicleKind]:
-    """Returns parameters, limits and type of a vehicle with its payload; see `models.vehicle.sections.with_payload`."""
+    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
+
+    The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
+    added to the rebound strokes.
+
+    Raises:
+        InputError: a key or value is not allowed, or the vehicle cannot carry it so.
+    """
     several = bool(section) and all(isinstance(one, Mapping) for one in section.values())
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
     model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)

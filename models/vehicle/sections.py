@@ -4,17 +4,19 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from models.common.checks import check_keys, is_finite
+from models.common.checks import is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
+from models.common.schema import HERE, SI, AnyTable, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, no_loads
+from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.bump_stops import Stops
@@ -47,7 +49,7 @@ class WeightedSum:
     name: str
     weight: float
     terms: Mapping[str, float]
-    filter: "Filter | None" = None
+    filter: Filter | None = None
 
     @property
     def text(self) -> str:
@@ -55,93 +57,90 @@ class WeightedSum:
         return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
 
 
-def read_sums(section: Mapping[str, Any], outputs: Sequence[str]) -> tuple[WeightedSum, ...]:
-    """Returns the sums of `[performance]` with a weight above 0, in their order: entries `NAME = { sum = { ... } }`.
+class Weight(SI):
+    """0, or a number in the range of weights."""
 
-    Args:
-        outputs: the signals that can be summed.
+    def number(self, what: str, value: Any) -> float:
+        """Returns the weight; `what` names it in the message."""
+        least = 0.0 if is_finite(value) and value == 0 else SMALLEST_WEIGHT
+        more = ', or 0, or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+        return number_within(what, value, least, self.high, self.unit, more)
 
-    Raises:
-        InputError: a name is that of a signal, a signal is unknown, or a factor, weight or filter is not allowed.
-    """
-    sums = []
-    for name, given in section.items():
-        where = f"[performance] {name}"
-        if not is_sum(given):
-            continue
-        if name in outputs or name == ROAD:
-            raise InputError(f"{where} is the name of a {'signal' if name in outputs else 'filter'}; give the sum another name")
-        terms, weight = given["sum"], given.get("weight", 1.0)
-        if not isinstance(terms, Mapping) or not terms or not all(is_number(one) and one for one in terms.values()):
+
+WEIGHT = Weight("1", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
+
+
+class Terms(AnyTable):
+    """Factors of signals in a sum. The context of the reader has `outputs`, the names of the signals."""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+        """Returns the factors by signal."""
+        outputs = context["outputs"]
+        if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
             raise InputError(
-                f"{where} sum = {quoted(terms)} is not allowed; give signals with factors other than 0, as in sum = "
+                f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
                 f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
             )
-        if unknown := [signal for signal in terms if signal not in outputs]:
-            raise InputError(f"{where} sums the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
-        check_weight(where, weight)
-        rest = {key: value for key, value in given.items() if key != "sum"}
-        shaped = _filter(where, rest, integrates=True) if rest.keys() - {"weight"} else None
-        if weight:
-            sums.append(WeightedSum(name, float(weight), {signal: float(one) for signal, one in terms.items()}, shaped))
-    return tuple(sums)
+        if unknown := [signal for signal in value if signal not in outputs]:
+            raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
+        return {signal: float(one) for signal, one in value.items()}
 
 
-def is_sum(given: Any) -> bool:
-    """Returns True if an entry of `[performance]` is a weighted sum of signals."""
-    return isinstance(given, Mapping) and "sum" in given
+@dataclass(frozen=True)
+class WeightSection(FilterSection):
+    """A signal or a sum of signals in `[performance]`. A number is its weight."""
+
+    integrates: ClassVar[bool] = True
+
+    weight: Annotated[float, WEIGHT] = 1.0
+    sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
+
+    @cached_property
+    def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The filter; None for a constant weight."""
+        return None if self.filter is self.numerator is self.denominator is None else super().shape
 
 
-def read_performance(
-    section: Mapping[str, Any], outputs: Sequence[str], sums: Sequence[WeightedSum] = ()
-) -> "tuple[dict[str, float], dict[str, Filter], Filter | None]":
-    """Returns the weights by signal, the filters of signals that have one, and the road's filter.
+def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
+    """Returns the attributes `performance`, `filters`, `sums` and `road_filter` of a `Vehicle`, from `[performance]`.
 
     Args:
         outputs: the signals that can be weighted.
-        sums: the section's weighted sums, which are read apart.
 
     Raises:
         InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
     """
-    weights, filters, road_filter = {}, {}, None
-    for signal, given in section.items():
-        where, weight = f"[performance] {signal}", given
-        if is_sum(given):
+    weights, filters, sums, road_filter = dict[str, float](), dict[str, Filter](), list[WeightedSum](), None
+    for name, given in section.items():
+        where = f"[performance] {name}"
+        if name == ROAD:
+            road_filter = read(where, FilterSection, given).shape
             continue
-        if signal == ROAD:
-            if not isinstance(given, Mapping) or "weight" in given:
-                raise InputError(f"{where} = {quoted(given)} is not a filter; give numerator and denominator, without weight")
-            road_filter = _filter(where, given, integrates=False)
+        if not isinstance(given, Mapping):
+            weights[name] = WEIGHT.number(where, given)
             continue
-        if signal not in outputs:
+        one = read(where, WeightSection, given, outputs=outputs)
+        if one.sum is None:
+            weights[name] = one.weight
+            filters |= {name: one.shape} if one.shape is not None and one.weight else {}
+        elif name in outputs:
+            raise InputError(f"{where} is the name of a signal; give the sum another name")
+        elif one.weight:
+            sums.append(WeightedSum(name, one.weight, one.sum, one.shape))
+    check_weights(weights, sums, outputs)
+    return {"performance": weights, "filters": filters, "sums": tuple(sums), "road_filter": road_filter}
+
+
+def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], outputs: Sequence[str]) -> None:
+    """Raises an InputError if a weighted signal is unknown, or no weight is above 0."""
+    for name in weights:
+        if name not in outputs:
             raise InputError(
-                f"[performance] unknown signal {signal!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
+                f"[performance] unknown signal {name!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
                 "or a new name for a sum of signals"
             )
-        if isinstance(given, Mapping):
-            filters[signal], weight = _filter(where, given, integrates=True), given.get("weight", 1.0)
-        check_weight(where, weight)
-        weights[signal] = float(weight)
     if not any(weights.values()) and not sums:
         raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {listing(outputs)}")
-    return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
-
-
-def check_weight(where: str, weight: Any) -> None:
-    """Refuses a weight that is neither 0 nor a number in range."""
-    if not is_finite(weight) or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
-        raise InputError(
-            f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
-            'or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
-        )
-
-
-def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
-    from models.laws.filter import KEYS, read_filter
-
-    check_keys(where, given, KEYS)
-    return read_filter(where, given, integrates)
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
@@ -167,37 +166,27 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     return named_files(roads)
 
 
-def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
-    """Returns the data of a vehicle file's text with SI numbers instead of numbers with units, such as "22 N/mm"."""
-    if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
-        return data
-    from models.vehicle.written_units import in_si
-
-    return in_si(data, kind)
-
-
 def curves_and_parameters(
-    data: Mapping[str, Any], kind: VehicleKind
+    section: Mapping[str, Any], parameters: Mapping[str, Any], kind: VehicleKind
 ) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
-    if not data.get("curves"):
-        return {}, kind.check(data["parameters"]), kind
-    from models.suspension.curve_reading import read_curves
-    from models.suspension.fitted_curves import curvable, with_slopes
+    curves, slopes = dict[str, "ForceCurve"](), dict[str, float]()
+    if section:
+        from models.suspension.curve_reading import read_curves
+        from models.suspension.fitted_curves import curvable, with_slopes
 
-    over, ratios = curvable(kind.suspensions), _ratios(data["curves"], kind)
-    section = {name: entry for name, entry in data["curves"].items() if name not in ratios}
-    at_rest = {name: table.at_rest for name, table in ratios.items()}
-    anything = {name: 1.0 for name in section if name in over} | at_rest  # the loads do not depend on it
-    curves = read_curves(
-        section, over, lambda name: static_loads(kind, kind.check_each({**data["parameters"], **anything})).get(name)
-    )
-    kind = replace(kind, ratios=ratios) if ratios else kind
-    return (
-        curves,
-        kind.check(with_slopes(data["parameters"], {name: curve.slope for name, curve in curves.items()} | at_rest)),
-        kind,
-    )
+        over, ratios = curvable(kind.suspensions), _ratios(section, kind)
+        at_rest = {name: table.at_rest for name, table in ratios.items()}
+        entries = {name: entry for name, entry in section.items() if name not in ratios}
+        anything = {name: 1.0 for name in entries if name in over} | at_rest  # the loads do not depend on it
+        with_any, own = {**parameters, **anything}, kind
+        curves = read_curves(entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name))
+        kind = replace(kind, ratios=ratios) if ratios else kind
+        slopes = {name: curve.slope for name, curve in curves.items()} | at_rest
+        parameters = with_slopes(parameters, slopes)
+    with error_in("[parameters]"):
+        checked = kind.check_each(parameters)
+    return curves, kind.check(checked), kind
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTable]":
@@ -215,8 +204,8 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
     ratios = {}
     for parameter in kind.parameters:
         if parameter.name in names:
-            with error_in(f"[curves] {parameter.name}:"):
-                ratios[parameter.name] = ratio_table(section[parameter.name], parameter.check)
+            where = f"[curves] {parameter.name}"
+            ratios[parameter.name] = ratio_table(where, section[parameter.name], parameter.check)
     return ratios
 
 
@@ -390,42 +379,18 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
 
 
 def dampers_of(
-    data: Mapping[str, Any],
+    section: Mapping[str, Any],
+    controllers: Mapping[str, Any],
     kind: VehicleKind,
     limits: "Limits",
     parameters: Mapping[str, float],
     curves: Mapping[str, "ForceCurve"],
 ) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
     """Reads `[actuators]`. Returns the dampers, and the adjustable dampers of the vehicle."""
-    if not data.get("actuators"):
-        return {}, ()
     from models.suspension.adjustable_dampers import adjustable
     from models.suspension.damper import read_actuators
 
-    sections = data.get("controllers", {}).values()
-    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
-    dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
+    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
+    dampers = read_actuators(section, kind.corners, () if forced else limits.of_actuators)
     tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
-
-
-def with_payload(
-    section: Mapping[str, Any],
-    kind: VehicleKind,
-    parameters: dict[str, float],
-    limits: "Limits",
-    curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, float], Limits, VehicleKind]":
-    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
-
-    The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
-    added to the rebound strokes.
-
-    Raises:
-        InputError: a key or value is not allowed, or the vehicle cannot carry it so.
-    """
-    if not section:
-        return parameters, limits, kind
-    from models.vehicle.payload import laden
-
-    return laden(section, kind, parameters, limits, curves)

