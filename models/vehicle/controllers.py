@@ -269,7 +269,7 @@ def read_controllers(
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {
-        "signals": kind.units_of(model.outputs),
+        "signals": {name: kind.possible[name].unit for name in model.outputs},
         "measurable": model.measurable,
         "heights": model.heights,
         "corners": {force: kind.corners.get(force, "") for force in model.inputs},
