@@ -253,7 +253,7 @@ class Subsection(Key):
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the section."""
-        return {"anyOf": [_adapter(one).json_schema() for one in self.sections]}
+        return {"anyOf": [json_schema(one) for one in self.sections]}
 
 
 @dataclass(frozen=True)

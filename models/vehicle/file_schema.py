@@ -4,13 +4,19 @@ from collections.abc import Iterable
 from typing import Any
 
 from models.common.schema import Section, described, json_schema
+from models.laws.filter import FilterSection
 from models.suspension.bump_stops import StopSection, places_of
+from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
+from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
+from models.vehicle.sections import ROAD, WEIGHT, WeightSection
 from models.vehicle.vehicle import kind
 
-TABLE = {"type": "object"}
+TABLE, NUMBER = {"type": "object"}, {"type": ["number", "string"]}
+WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
 
 
 def file_schema(name: str) -> dict[str, Any]:
@@ -25,16 +31,27 @@ def file_schema(name: str) -> dict[str, Any]:
     payload, implementation = json_schema(PayloadSection), json_schema(ImplementationSection)
     for key in ("noise", "quantisation"):
         one = implementation["properties"][key]
-        one |= {"properties": dict.fromkeys((signal.name for signal in known.signals), one.pop("additionalProperties"))}
+        one |= {"properties": dict.fromkeys(known.possible, one.pop("additionalProperties"))}
+    weights = {one.name: described(WEIGHTED, one.meaning, one.unit) for one in known.possible.values()}
+    controller = json_schema(ControllerSection)
+    family = controller["properties"]["family"]
+    family |= {"anyOf": [{"type": family.pop("type"), "items": family.pop("items")}, {"type": "string"}]}  # or a file of vehicles
+    tables = {"damping": (DamperTable, SurfaceTable), "stiffness": (SpringTable,), "ratio": (RatioSection,)}
+    curves = {
+        getattr(part, of): {"anyOf": [*schemas, {"type": "array", "items": {"anyOf": [*schemas, NUMBER]}}]}
+        for part in known.suspensions
+        for of, sections in tables.items()
+        if getattr(part, of) and (schemas := [json_schema(one) for one in sections])
+    }
     sections = {
         "parameters": TABLE | {"properties": parameters, "additionalProperties": False},
-        "performance": TABLE,
+        "performance": TABLE | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
-        "curves": TABLE,
-        "controllers": TABLE | {"additionalProperties": TABLE},
+        "curves": TABLE | {"properties": curves, "additionalProperties": False},
+        "controllers": TABLE | {"additionalProperties": controller},
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
