@@ -264,9 +264,10 @@ class Goals(Section):
     @property
     def goals(self) -> "Goals":
         """The goals of a gain alone, without errors that depend on frequency and without the pattern of a law."""
-        own = {one.name: getattr(self, one.name) for one in fields(Goals)}
+        own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
-        return Goals(**own | {"structure": None} if self.structure in PATTERNS else own)
+        own["structure"] = None if self.structure in PATTERNS else self.structure
+        return Goals(**own)
 
     @property
     def over(self) -> str:
