@@ -165,14 +165,15 @@ class Choice(Key):
 
 @dataclass(frozen=True)
 class Text(Key):
-    """A text."""
+    """A text; `more` ends the message for another value."""
 
     meaning: str = ""
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if not isinstance(value, str):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes")
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
         return value
 
     @property
@@ -196,7 +197,9 @@ class Listed(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
         """Returns the values."""
         if not isinstance(value, list | tuple) or len(value) < self.least:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a list of at least one value{self.more}")
+            raise InputError(
+                f"{HERE} = {quoted(value)} is not allowed; give a list{' of at least one value' * self.least}{self.more}"
+            )
         items = []
         for i, one in enumerate(value):
             try:
@@ -220,7 +223,7 @@ class AnyTable(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table."""
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table")
+            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a section or a table")
         return value
 
     @property

@@ -1,7 +1,7 @@
 """Goals of a design from a controller's section: objective, bounds, tolerances, family and structure.
 
 minimise = { signals = "performance", band = [4.0, 8.0], over = "worst" }
-bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }]
+bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 } (m2/s), { decay = 1.2 } (rad/s), { gain = 2e4 }]
 tolerance = { suspension_deflection = 0.1, sprung_velocity = 0.1, force = 0.05 }
 family = [{ sprung_mass = 0.7 }, {}, { sprung_mass = 1.4, tyre_stiffness = 1.25 }]
 structure = "corner"
@@ -29,7 +29,7 @@ HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
-WEIGHT = SI("1", "", 1e-6, 1e6)  # of an error that is the same at all frequencies
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-6, 1e6  # of an error that is the same at all frequencies
 LARGEST_TOLERANCE = 0.9  # relative; a sensor that may be off by its whole reading says nothing
 
 
@@ -124,7 +124,7 @@ class PeakBound(Section):
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal)]
     at_most: AtMost
-    road: Annotated[str, Text("road, as `roadproof drive --road` takes it")] = "bump"
+    road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
     speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
 
 
@@ -188,7 +188,8 @@ def _error(where: str, given: Any) -> float | Filter:
         )
     weight = given["weight"]
     if not isinstance(weight, Mapping):
-        return Filter((((WEIGHT.number(f"{where}.weight", weight),), (1.0,)),))
+        more = ", or numerator and denominator as coefficients in descending powers of s"
+        return Filter((((number_within(f"{where}.weight", weight, SMALLEST_WEIGHT, LARGEST_WEIGHT, more=more),), (1.0,)),))
     if wrong := [key for key in weight if key not in (*POLYNOMIALS, "filter")]:
         raise InputError(f"{where}.weight has the unknown key {quoted(wrong[0])}; give only numerator and denominator")
     return read_filter(where, weight)
