@@ -1,7 +1,7 @@
 """Goals of a design from a controller's section: objective, bounds, tolerances, family and structure.
 
 minimise = { signals = "performance", band = [4.0, 8.0], over = "worst" }
-bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 } (m2/s), { decay = 1.2 } (rad/s), { gain = 2e4 }]
+bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }]
 tolerance = { suspension_deflection = 0.1, sprung_velocity = 0.1, force = 0.05 }
 family = [{ sprung_mass = 0.7 }, {}, { sprung_mass = 1.4, tyre_stiffness = 1.25 }]
 structure = "corner"
@@ -155,7 +155,7 @@ Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
 BOUNDS = (NormBound, PeakBound, EnergyBound, DecayBound, GainBound)
 EXAMPLES = (
     "a bound, one of { norm = 8.6 }, { peak = SIGNAL, road = ROAD, at_most = 0.09 }, "
-    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }"
+    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 } (m2/s), { decay = 1.2 } (rad/s), { gain = 2e4 }"
 )
 
 
