@@ -5,6 +5,7 @@ if __name__ == "__main__":
 
     run("sim.new")
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,21 +16,27 @@ TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
 TYPES = ("quarter_car", "half_car", "full_car")
 EPILOG = """
 The file contains the parameters of an ordinary car, limits, sensors with noise, a sample period and a delay, and controllers
-designed for them. A comment on each line explains the value. The command never replaces an existing file.
+designed for them. A comment on each line explains the value. The command never replaces an existing vehicle file.
+
+With --schema the command also writes TYPE.schema.json to the same folder, and without FILE only this file, to the present folder.
+The first line of the vehicle file names it. With it, editors such as Visual Studio Code (extension Even Better TOML) or Neovim
+(Taplo) complete keys, show their meanings and units, and mark mistakes.
 
 exit code: 0 the file is written; 2 invalid input
 
 examples:
   python -m sim.new my_car.toml
   python -m sim.new my_full_car.toml --type full_car
+  python -m sim.new my_half_car.toml --type half_car --schema
 """
 
 
 def parser() -> Parser:
     """Returns the command-line parser."""
     parser = Parser("sim.new", "Write a commented vehicle file that works with every command.", EPILOG)
-    parser.add_argument("file", type=Path, metavar="FILE", help="file to write, such as my_car.toml")
+    parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="file to write, such as my_car.toml")
     parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"vehicle type (default: {TYPES[0]})")
+    parser.add_argument("--schema", action="store_true", help="write a JSON schema, for completion of keys in editors")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 
@@ -44,17 +51,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.common.files import read_text, whole_file
     from models.common.printed import pasted_path
 
-    path: Path = options.file
-    if path.exists():
-        raise InputError(f"{path} already exists; give another name, or remove this file")
-    text = read_text(TEMPLATES / f"{options.type}.toml", "template", f"give one of {', '.join(TYPES)}")
-    with whole_file(path, "vehicle file") as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    path: Path | None = options.file
+    if path is None and not options.schema:
+        raise InputError("FILE is missing; give the file to write, as in python -m sim.new my_car.toml")
+    written = dict[str, str]()
+    if path is not None:
+        if path.exists():
+            raise InputError(f"{path} already exists; give another name, or remove this file")
+        text = read_text(TEMPLATES / f"{options.type}.toml", "template", f"give one of {', '.join(TYPES)}")
+        with whole_file(path, "vehicle file") as beside:
+            beside.write_text(text, encoding="utf-8", newline="\n")
+        written["file"] = str(path)
+    if options.schema:
+        from models.vehicle.file_schema import file_schema
+
+        schema = (path.parent if path else Path()) / f"{options.type}.schema.json"
+        with whole_file(schema, "schema") as beside:
+            beside.write_text(json.dumps(file_schema(options.type), indent=1) + "\n", encoding="utf-8", newline="\n")
+        written["schema"] = str(schema)
     if options.json:
-        print_json({"file": str(path), "type": options.type})
+        print_json(written | {"type": options.type})
         return 0
-    name = pasted_path(path)
-    print(f"wrote {name}; replace its numbers with those of your car, then run")
-    print(f"  python -m synth --vehicle {name}")
-    print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
+    if options.schema:
+        print(f"wrote {pasted_path(schema)}; a vehicle file names it in its first line: #:schema ./{schema.name}")
+    if path is not None:
+        name = pasted_path(path)
+        print(f"wrote {name}; replace its numbers with those of your car, then run")
+        print(f"  python -m synth --vehicle {name}")
+        print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
     return 0

@@ -60,9 +60,6 @@ class Key:
             lambda value, info: self.read(value, {**(info.data or {}), **(info.context or {})})
         )
 
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:
-        return {**self.json, "description": f"{self.meaning}{f' [{self.unit}]' if self.unit else ''}"}
-
 
 @dataclass(frozen=True)
 class SI(Key):
@@ -255,7 +252,7 @@ class Subsection(Key):
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the section."""
-        return {"anyOf": [_adapter(one).json_schema() for one in self.sections]}
+        return {"anyOf": [json_schema(one) for one in self.sections]}
 
 
 @dataclass(frozen=True)
@@ -415,6 +412,17 @@ def keys(section: type) -> dict[str, Key]:
 def required(section: type) -> list[str]:
     """Returns the names of the keys of a section that have no default."""
     return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
+
+
+def json_schema(section: type) -> dict[str, Any]:
+    """Returns the JSON schema of a section's table."""
+    properties = {name: described(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
+    return {"type": "object", "properties": properties, "required": required(section), "additionalProperties": False}
+
+
+def described(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:
+    """Returns the JSON schema of a key with its meaning and unit, which editors show."""
+    return {**schema, "description": f"{meaning}{f' [{unit}]' if unit else ''}"}
 
 
 def _key(annotation: Any) -> Key:

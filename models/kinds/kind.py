@@ -95,8 +95,19 @@ class Parameter(Checked):
         Raises:
             InputError: the value is not a number of the allowed range.
         """
-        smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
-        return number_within(self.name, value, smallest, self.largest, self.unit)
+        return number_within(self.name, value, self.least, self.largest, self.unit)
+
+    @property
+    def least(self) -> float:
+        """Smallest allowed value."""
+        return self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the number."""
+        from models.common.schema import SI
+
+        return SI(self.unit, low=self.least, high=self.largest).json
 
 
 def motion_ratio(name: str) -> Parameter:

@@ -233,7 +233,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
 
 
 FAMILY = "factors on parameters of each vehicle"
-FACTORS = BySignal("", "parameters", 0.1, 10.0, "1")
+FACTORS = Listed("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,9 +253,7 @@ class Goals(Section):
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)
     ] = field(default_factory=dict)
-    family: Annotated[
-        tuple[Mapping[str, float], ...], Listed(FAMILY, FACTORS, f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
-    ] = ()
+    family: Annotated[tuple[Mapping[str, float], ...], ReadBy(f"{FAMILY}, or a file with them", FACTORS.read)] = ()
     structure: Annotated[Any, ReadBy("rows of 0 and 1 by force, `corner`, or a law: `pi`, `pid`", _structure)] = None
 
     def __post_init__(self) -> None:

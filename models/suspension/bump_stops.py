@@ -276,6 +276,12 @@ class OfSides(Key):
             )
         return StopPair(*(below(side, self.one, given[side], context) if side in given else None for side in SIDES))
 
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the value, and of one for each side."""
+        one = dict(self.one.json)
+        return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
+
 
 @dataclass(frozen=True)
 class StopStiffness(Key):
@@ -298,6 +304,13 @@ class StopStiffness(Key):
             )
         units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
         return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a number, a list of coefficients, or a table."""
+        number = SI(self.unit).json
+        several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
+        return {"anyOf": [number, several, {"type": "object", "properties": {key: {} for key in TABLE_KEYS}}]}
 
 
 @dataclass(frozen=True)

@@ -164,6 +164,11 @@ class Coefficient(Key):
         with error_in(f"{HERE}:"):
             return curve_of(value, VELOCITY)
 
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a number, or of a table."""
+        return {"anyOf": [SI(self.unit, low=self.low).json, {"type": "object"}]}
+
 
 @dataclass(frozen=True)
 class ActuatorSection(Section):

@@ -46,7 +46,7 @@ CASES = {  # the cases of each command: their names and options
         "front": (*ONE, "--front", "ride:travel"),
         "goals": ("--vehicle", "quarter_car_goals"),
     },
-    "sim.new": {"plain": ("car.toml",)},
+    "sim.new": {"plain": ("car.toml", "--schema")},
     "sim.bump": {"plain": (*ONE, *LIFTS), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
     "sim.drive": {"plain": (*ONE, *SHORT), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
     "sim.sweep": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},

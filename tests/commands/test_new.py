@@ -1,12 +1,16 @@
 """`sim.new` writes a vehicle file with which the best design is best as implemented."""
 
 import json
+import tomllib
 
 import pytest
 
+from docs.generate import key_sections
 from models.vehicle.vehicle import read_vehicle
 from sim.new import TEMPLATES, TYPES
+from tests.same_numbers import RULER
 from tests.support.commands import main_of, refused
+from tests.support.pages import ROOT
 
 
 @pytest.mark.parametrize("name", TYPES)
@@ -25,6 +29,50 @@ def test_it_writes_a_template(tmp_path, capsys, name):
     assert path.read_text(encoding="utf-8") == "mine"
     assert main_of("sim.new")([str(tmp_path / "b.toml"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"file": str(tmp_path / "b.toml"), "type": "quarter_car"}
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_a_schema_for_editors(tmp_path, capsys, name):
+    """The schema, which the template names, accepts every shipped file of its type, refuses mistakes, and explains every key."""
+    jsonschema = pytest.importorskip("jsonschema", reason="needs the extra [test]")
+    path = tmp_path / "car.toml"
+    assert main_of("sim.new")([str(path), "--type", name, "--schema", "--json"]) == 0
+    beside = tmp_path / f"{name}.schema.json"
+    assert json.loads(capsys.readouterr().out) == {"file": str(path), "schema": str(beside), "type": name}
+    assert path.read_text(encoding="utf-8").startswith(f"#:schema ./{beside.name}\n")
+    schema = jsonschema.Draft202012Validator(json.loads(beside.read_text(encoding="utf-8")))
+    schema.check_schema(schema.schema)
+    for file in (path, *(ROOT / "models").rglob("*.toml"), *RULER.rglob("*.toml")):
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        if data.get("type") == name:
+            assert not [*schema.iter_errors(data)], file
+    right = tomllib.loads(path.read_text(encoding="utf-8"))
+    for section in right:
+        assert not schema.is_valid(right | {section: 3}), section
+        if section not in ("type", "performance", "controllers"):  # whose keys are names
+            assert not schema.is_valid(right | {section: {**right[section], "colour": 1}}), section
+    for documented in (
+        f"[parameters] of a {name}",
+        "[limits]",
+        "[implementation]",
+        "[payload]",
+        "[actuators]",
+        "[controllers.NAME]",
+    ):
+        for key, unit, _ in key_sections()[documented]:
+            assert f'"{key}": {{' in beside.read_text(encoding="utf-8")
+            assert unit in beside.read_text(encoding="utf-8")
+
+
+def test_only_a_schema(tmp_path, monkeypatch, capsys):
+    """Without a file the schema alone is written, again if there is an old one; a command without both says what is missing."""
+    monkeypatch.chdir(tmp_path)
+    assert main_of("sim.new")(["--schema"]) == 0
+    assert main_of("sim.new")(["--schema"]) == 0
+    assert "wrote quarter_car.schema.json; a vehicle file names it in its first line" in capsys.readouterr().out
+    assert [one.name for one in tmp_path.iterdir()] == ["quarter_car.schema.json"]
+    with refused(match=r"FILE is missing; give the file to write"):
+        main_of("sim.new")([])
 
 
 def test_the_best_design_is_best_as_implemented(capsys):

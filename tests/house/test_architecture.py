@@ -73,7 +73,7 @@ ROOMS = {
     "sim.inspect": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
     "sim.margins": "models.document models.vehicle synth.controller synth.vehicle sim.command sim.linear sim.runs sim.studies",
-    "sim.new": "",
+    "sim.new": "models.vehicle",
     "sim.report": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",

@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.pages import ROOT, page, sections
 
+TEXTS = {"capture_output": True, "text": True, "check": False}
 MARK = "\n\n# By their names on a command line"
 
 
@@ -81,6 +82,44 @@ def test_add_a_road_and_a_command(tmp_path):
     files = [str(path) for name in held for path in (tmp_path / "tests").rglob(f"{name}.py")]
     tested = run("pytest", "-m", "not attack", "-k", names, *files)
     assert int(re.findall(r"(\d+) passed", tested)[0]) >= 15  # a dozen controllers; tables, contents, page, help
+
+
+def test_add_a_key(tmp_path):
+    """The recipe's line alone makes a key: read with its unit, refused in a line, recorded, documented, and known to editors."""
+    recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a key to a vehicle file")
+    (line,) = recipe.blocks("python")
+    for folder in ("models", "synth", "sim", "tests", "docs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    path = tmp_path / "models" / "vehicle" / "limits_and_implementation.py"
+    source, last = path.read_text(encoding="utf-8"), '    seed: Annotated[int, Integer("seed of the noise")] = 0\n'
+    assert source.count(last) == 1
+    path.write_text(source.replace(last, last + line), encoding="utf-8", newline="\n")
+    code = """if True:
+        from docs.generate import key_sections
+        from models import read_vehicle
+        from models.common.errors import InputError
+        from models.vehicle.file_schema import file_schema
+        from models.vehicle.vehicle import parse_vehicle
+
+        def read(value):
+            return parse_vehicle(f"{read_vehicle('quarter_car').text}\\n[implementation]\\nwarm_up = {value}").implementation
+
+        print(read('"200 ms"').warm_up, read(0.2).record['warm_up'])
+        try:
+            read(11)
+        except InputError as error:
+            print(error)
+        print(*[row for row in key_sections()["[implementation]"] if row[0] == "warm_up"])
+        print(file_schema("half_car")["properties"]["implementation"]["properties"]["warm_up"]["description"])
+    """
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, **TEXTS)
+    meaning = "time from the start in which the controller commands no force"
+    assert run.stdout.splitlines() == [
+        "0.2 0.2",
+        "[implementation] warm_up = 11 is not allowed; give a number from 0 to 10 s",
+        f"('warm_up', 's', '{meaning}')",
+        f"{meaning} [s]",
+    ], run.stderr
 
 
 def test_recipes_name_what_there_is():

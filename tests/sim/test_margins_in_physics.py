@@ -263,7 +263,8 @@ def test_an_instability_between_two_steps(paper):
     """Sampled every 43.2 to 46.7 ms this loop is unstable. Multiples of 8 ms pass over that, and the linear loop's, too."""
     parameters = {"sprung_mass": 857.2, "unsprung_mass": 36.84, "suspension_stiffness": 23277.0, "suspension_damping": 254.5}
     vehicle = paper.with_parameters(**parameters, tyre_stiffness=156441.0)
-    law = LinearLaw(*(np.array([[number]]) for number in (-16.8184, 1.0, 682817.68, -25017.84)))
+    A, B, C, D = (np.array([[number]]) for number in (-16.8184, 1.0, 682817.68, -25017.84))
+    law = LinearLaw(A, B, C, D)
     one = searches(vehicle, certify_given(vehicle, "filtered", ("suspension_deflection",), law), [0], 8e-3)
     assert one.predicted.sample_period == pytest.approx(43.2e-3, abs=0.1e-3)
     for edge in (one.gain.search, one.gain_lower.search, one.delay, one.sample_period):

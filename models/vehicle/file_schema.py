@@ -1,0 +1,53 @@
+"""The JSON schema of vehicle files, with which editors complete keys, show their meanings and mark mistakes."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from models.common.schema import Section, described, json_schema
+from models.suspension.bump_stops import StopSection, places_of
+from models.suspension.damper import ActuatorSection
+from models.vehicle.controllers import ControllerSection
+from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
+from models.vehicle.payload import PayloadSection
+from models.vehicle.vehicle import kind
+
+TABLE = {"type": "object"}
+
+
+def file_schema(name: str) -> dict[str, Any]:
+    """Returns the JSON schema of the vehicle files of a built-in type, see json-schema.org, draft 2020-12.
+
+    Args:
+        name: type of the vehicle, such as "quarter_car".
+    """
+    known = kind(name)
+    parameters = {one.name: described(one.json, one.meaning, one.unit) for one in known.parameters}
+    corners = [part.corner for part in known.suspensions]
+    payload, implementation = json_schema(PayloadSection), json_schema(ImplementationSection)
+    for key in ("noise", "quantisation"):
+        one = implementation["properties"][key]
+        one |= {"properties": dict.fromkeys((signal.name for signal in known.signals), one.pop("additionalProperties"))}
+    sections = {
+        "parameters": TABLE | {"properties": parameters, "additionalProperties": False},
+        "performance": TABLE,
+        "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
+        "implementation": implementation,
+        "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
+        "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
+        "curves": TABLE,
+        "controllers": TABLE | {"additionalProperties": json_schema(ControllerSection)},
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"Roadproof vehicle file of type {name}",
+        "type": "object",
+        "properties": {"type": {"const": name}, **sections},
+        "required": ["type", "parameters", "performance"],
+        "additionalProperties": False,
+    }
+
+
+def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:
+    """Returns the schema of a section that may have sections of single suspensions or axles below it."""
+    whole, part = json_schema(common), json_schema(own)
+    return whole | {"properties": whole["properties"] | dict.fromkeys(places, part | {"required": []}), "required": []}
