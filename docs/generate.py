@@ -196,8 +196,12 @@ def shown_in(key: str) -> str:
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
-    """Returns the keys of a section with their units and meanings."""
-    return [(name, key.unit, key.meaning) for name, key in schema.keys(section).items()]
+    """Returns the keys of a section with their units and meanings; the meaning of a choice lists its texts."""
+    rows = []
+    for name, key in schema.keys(section).items():
+        texts = ", ".join(f"`{one}`" for one in getattr(key, "texts", ()) if f"`{one}`" not in key.meaning)
+        rows.append((name, key.unit, f"{key.meaning}: {texts}".removesuffix(": ")))
+    return rows
 
 
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:

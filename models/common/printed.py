@@ -66,7 +66,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
-def size(rows: list[Any]) -> str:
+def size(rows: Sequence[Any]) -> str:
     """Returns the number of rows and their length as text."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"

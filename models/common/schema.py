@@ -195,9 +195,9 @@ class Listed(Key):
         listed = isinstance(value, list | tuple)
         if not listed or not self.least <= len(value) <= (self.most or len(value)):
             wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
-            least = "one value" if self.least == 1 else f"{self.least} values"
+            least = {0: "", 1: " of at least one value"}.get(self.least, f" of at least {self.least} values")
             most = f", and at most {self.most}" if self.most else ""
-            raise InputError(f"{HERE} {wrong}; give a list of at least {least}{most}{self.more}")
+            raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
         items = []
         for i, one in enumerate(value):
             try:
@@ -221,7 +221,7 @@ class AnyTable(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table."""
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a section; write its name in single brackets, and its keys below")
+            raise InputError(f"{HERE} = {quoted(value)} is not a table; write its name in single brackets, and its keys below")
         return value
 
     @property
@@ -453,6 +453,11 @@ def keys(section: type) -> dict[str, Key]:
     return {field.name: _key(field.type) for field in fields(section)}
 
 
+def required(section: type) -> list[str]:
+    """Returns the names of the keys of a section that have no default."""
+    return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
+
+
 def json_schema(section: type) -> dict[str, Any]:
     """Returns the JSON schema of a section's table."""
     properties = {name: described(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
@@ -462,11 +467,6 @@ def json_schema(section: type) -> dict[str, Any]:
 def described(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:
     """Returns the JSON schema of a key with its meaning and unit, which editors show."""
     return {**schema, "description": f"{meaning}{f' [{unit}]' if unit else ''}"}
-
-
-def required(section: type) -> list[str]:
-    """Returns the names of the keys of a section that have no default."""
-    return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
 
 
 def _key(annotation: Any) -> Key:

@@ -44,17 +44,8 @@ DEMANDS = {  # beside a kind
 }
 WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-KEYS = (
-    "stable",
-    "fastest_pole",
-    "anti_windup",
-    "noise",
-    "lag",
-    "sampled",
-    "loads",
-    "goals",
-    "force",
-)  # columns of the site's first table
+# Columns of the site's first table:
+KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")
 FLAGS = ("stable", "noise", "lag", "sampled", "study")
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
 PREVIEW = "preview"  # a further one, of the state and the road ahead

@@ -29,7 +29,7 @@ HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
-WEIGHT = SI("1", "", 1e-6, 1e6)  # of an error that is the same at all frequencies
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-6, 1e6  # of an error that is the same at all frequencies
 LARGEST_TOLERANCE = 0.9  # relative; a sensor that may be off by its whole reading says nothing
 
 
@@ -124,7 +124,7 @@ class PeakBound(Section):
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal)]
     at_most: AtMost
-    road: Annotated[str, Text("road, as `roadproof drive --road` takes it")] = "bump"
+    road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
     speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
 
 
@@ -155,7 +155,7 @@ Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
 BOUNDS = (NormBound, PeakBound, EnergyBound, DecayBound, GainBound)
 EXAMPLES = (
     "a bound, one of { norm = 8.6 }, { peak = SIGNAL, road = ROAD, at_most = 0.09 }, "
-    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }"
+    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 } (m2/s), { decay = 1.2 } (rad/s), { gain = 2e4 }"
 )
 
 
@@ -188,7 +188,8 @@ def _error(where: str, given: Any) -> float | Filter:
         )
     weight = given["weight"]
     if not isinstance(weight, Mapping):
-        return Filter((((WEIGHT.number(f"{where}.weight", weight),), (1.0,)),))
+        more = ", or numerator and denominator as coefficients in descending powers of s"
+        return Filter((((number_within(f"{where}.weight", weight, SMALLEST_WEIGHT, LARGEST_WEIGHT, more=more),), (1.0,)),))
     return read(f"{where}.weight", FilterSection, weight).shape
 
 
@@ -230,7 +231,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
 
 
 FAMILY = "factors on parameters of each vehicle"
-FACTORS = BySignal("", "parameters", 0.1, 10.0, "1")
+FACTORS = Listed("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,9 +251,7 @@ class Goals(Section):
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)
     ] = field(default_factory=dict)
-    family: Annotated[
-        tuple[Mapping[str, float], ...], Listed(FAMILY, FACTORS, f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
-    ] = ()
+    family: Annotated[tuple[Mapping[str, float], ...], ReadBy(f"{FAMILY}, or a file with them", FACTORS.read)] = ()
     structure: Annotated[Any, ReadBy("rows of 0 and 1 by force, `corner`, or a law: `pi`, `pid`", _structure)] = None
 
     def __post_init__(self) -> None:
@@ -262,9 +261,10 @@ class Goals(Section):
     @property
     def goals(self) -> "Goals":
         """The goals of a gain alone, without errors that depend on frequency and without the pattern of a law."""
-        own = {one.name: getattr(self, one.name) for one in fields(Goals)}
+        own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
-        return Goals(**own | {"structure": None} if self.structure in PATTERNS else own)
+        own["structure"] = None if self.structure in PATTERNS else self.structure
+        return Goals(**own)
 
     @property
     def over(self) -> str:

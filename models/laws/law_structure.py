@@ -116,7 +116,7 @@ def is_order(value: object) -> bool:
 class StructureSection(Goals):
     """Keys of a controller's section that give the structure of a law, with those of its goals."""
 
-    order: Annotated[str | int, ReadBy("`static`, `full`, or the number of states of the law", _order)] | None = None
+    order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order)] | None = None
     pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:

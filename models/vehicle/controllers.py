@@ -210,7 +210,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Sig
     sample_period: Annotated[float, SI("s", "sample period of a discrete law", high=LONGEST_PERIOD)] | None = None
     file: Annotated[str, Text("MATLAB file with the law, next to the vehicle file")] | None = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
-    design: Annotated[str, Choice("method of design; the two-step design without this key", (*QUADRATIC, PREVIEW))] | None = None
+    design: Annotated[str, Choice("method of design instead of the two-step design", (*QUADRATIC, PREVIEW))] | None = None
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
     sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
