@@ -452,7 +452,7 @@ BAD_FILES = [
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
     ({"speeds": '["fast"]'}, "", "speeds[0] = 'fast' is not allowed"),
     ({"seeds": "0"}, "", "seeds = 0 is not allowed; give an integer from 1 to"),
-    ({"seeds": "[1, 2.5]"}, "", "seed = 2.5 is not allowed; give an integer"),
+    ({"seeds": "[1, 2.5]"}, "", "seeds[1] = 2.5 is not allowed; give an integer"),
     ({"seeds": "[1, 1]"}, "", "seeds: 1 and 1 are the same; list only one of them"),
     ({"seeds": "20000000"}, "", "or a list of seeds"),
     ({"duration": "0.0"}, "", "duration"),
