@@ -53,7 +53,6 @@ from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
-from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.ride import metrics
 
 HERE = Path(__file__).parent
@@ -225,8 +224,6 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[payload]"] = section_keys(PayloadSection)
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
-    sections["entry.toml of the gallery"] = section_keys(Entry)[1:]
-    sections["[[printed]] of entry.toml"] = section_keys(PrintedNumber)
     return sections
 
 

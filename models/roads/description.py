@@ -1,4 +1,4 @@
-"""Roads as tables: `type` names the class of a road, and the other keys are its fields. Logs and files hold roads so."""
+"""Roads as tables, in logs and in files of the gallery: `type` names the class of a road, and the other keys are its fields."""
 
 import math
 from collections.abc import Mapping
@@ -67,6 +67,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     for name, value in road.describe().items():
         if name not in description and name != "factor":
             raise InputError(f"{where} {name} is missing; drive over the road again")
-        if isinstance(value, float) and not math.isclose(description.get(name, value), value, rel_tol=SAME):
-            raise InputError(f"{where} {name} was logged as {description[name]:g}, but is now {value:g}: the road differs")
+        logged = check(f"{where} {name}", description.get(name, value), float) if isinstance(value, float) else None
+        if logged is not None and not math.isclose(logged, value, rel_tol=SAME):
+            raise InputError(f"{where} {name} was logged as {logged:g}, but is now {value:g}: the road differs")
     return road if factor is None else ScaledRoad(road, check(f"{where} factor", factor, float))

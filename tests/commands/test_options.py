@@ -149,7 +149,7 @@ REFUSED = [
     ("sim.drive --controller passive --load push:g=1", "unknown load 'push:g=1'", "brake, corner, payload, lift, gust"),
     ("sim.drive --controller passive --load brake:gs=1", "gs=1", "g, hold, rise, start"),
     ("sim.drive --controller passive --load brake:g=x", "g = 'x' is not a number; give a number in g"),
-    ("sim.drive --controller passive --load brake:g=3", "brake g = 3 is not allowed", "from -2 to 2"),
+    ("sim.drive --controller passive --load brake:g=3", "g = 3.0 is not allowed", "from -2 to 2 g"),
     ("sim.drive --controller passive --load brake:g=0.1:g=0.2", "g is given twice"),
     ("sim.drive --controller passive --load nowhere.csv", "nowhere.csv"),
     ("sim.drive --controller passive --load payload --road flat --seed 3", "--seed"),

@@ -658,6 +658,7 @@ def test_description_is_enough(road):
         ({**Bump().describe(), "depth": 1.0}, "road bump: unknown key 'depth'; known keys: height, length"),
         ({"type": "bump", "height": 0.1}, "road bump: length is missing"),
         ({**Bump().describe(), "factor": "a"}, "road bump: factor = 'a' is not allowed; give a number"),
+        ({**Iso8608().describe(), "roughness": "1"}, "roughness = '1' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was logged as 0.001, but is now 0.000256"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "omega, amplitudes and phases have different lengths"),
         ({**sinusoid(1.0, 1.0).describe(), "rms": 1.0}, "rms was logged as 1, but is now 0.707107"),

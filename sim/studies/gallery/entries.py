@@ -17,7 +17,7 @@ from synth.vehicle.paper import PRINTED
 FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
 CAR = "car.toml"  # the usual vehicle file of an entry
-PAPERS = Bump()  # the paper's bump, the usual road
+PAPER_BUMP = Bump()  # the paper's bump, the usual road
 SHORT = 1e-3  # relative: what the paper's solver stopped short by, in every number
 
 
@@ -70,7 +70,7 @@ class PrintedNumber(Section):
     signal: Annotated[str, Text("output signal")] = ""
     at: Annotated[tuple[int, ...], Listed("row and column of an entry of a matrix, from 0; a scalar has none", Integer())] = ()
     hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
-    road: Annotated[Road, RoadTable("a road; without its `type` a bump, or with an `edge` a step")] = PAPERS
+    road: Annotated[Road, RoadTable("a road; without its `type` a bump, or with an `edge` a step")] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
     timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
     band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
