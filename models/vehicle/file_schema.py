@@ -33,9 +33,6 @@ def file_schema(name: str) -> dict[str, Any]:
         one = implementation["properties"][key]
         one |= {"properties": dict.fromkeys(known.possible, one.pop("additionalProperties"))}
     weights = {one.name: described(WEIGHTED, one.meaning, one.unit) for one in known.possible.values()}
-    controller = json_schema(ControllerSection)
-    family = controller["properties"]["family"]
-    family |= {"anyOf": [{"type": family.pop("type"), "items": family.pop("items")}, {"type": "string"}]}  # or a file of vehicles
     tables = {"damping": (DamperTable, SurfaceTable), "stiffness": (SpringTable,), "ratio": (RatioSection,)}
     curves = {
         getattr(part, of): {"anyOf": [*schemas, {"type": "array", "items": {"anyOf": [*schemas, NUMBER]}}]}
@@ -51,7 +48,7 @@ def file_schema(name: str) -> dict[str, Any]:
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},
-        "controllers": TABLE | {"additionalProperties": controller},
+        "controllers": TABLE | {"additionalProperties": json_schema(ControllerSection)},
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
