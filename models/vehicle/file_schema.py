@@ -4,11 +4,15 @@ from collections.abc import Iterable
 from typing import Any
 
 from models.common.schema import Section, described, json_schema
+from models.laws.filter import FilterSection
 from models.suspension.bump_stops import StopSection, places_of
+from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
+from models.suspension.motion_ratio import RatioSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.vehicle import kind
+from models.vehicle.sections import ROAD, WEIGHT, WeightSection
+from models.vehicle.vehicle import VehicleFile, kind
 
 TABLE = {"type": "object"}
 
@@ -26,24 +30,25 @@ def file_schema(name: str) -> dict[str, Any]:
     for key in ("noise", "quantisation"):
         one = implementation["properties"][key]
         one |= {"properties": dict.fromkeys((signal.name for signal in known.signals), one.pop("additionalProperties"))}
+    weight = {"anyOf": [described(WEIGHT.json, WEIGHT.meaning, ""), json_schema(WeightSection)]}
+    tables = {part.stiffness: (SpringTable,) for part in known.suspensions}
+    tables |= {part.damping: (DamperTable, SurfaceTable) for part in known.suspensions}
+    curves = {name: {"anyOf": [{"type": "array"}, *map(json_schema, some)]} for name, some in tables.items()}
+    curves |= {part.ratio: json_schema(RatioSection) for part in known.suspensions}
     sections = {
         "parameters": TABLE | {"properties": parameters, "additionalProperties": False},
-        "performance": TABLE,
+        "performance": TABLE | {"properties": {ROAD: json_schema(FilterSection)}, "additionalProperties": weight},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
-        "curves": TABLE,
+        "curves": TABLE | {"properties": curves, "additionalProperties": False},
         "controllers": TABLE | {"additionalProperties": TABLE},
     }
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"Roadproof vehicle file of type {name}",
-        "type": "object",
-        "properties": {"type": {"const": name}, **sections},
-        "required": ["type", "parameters", "performance"],
-        "additionalProperties": False,
-    }
+    file = json_schema(VehicleFile)
+    file["properties"] |= {"type": {"const": name}, **sections}
+    title = f"Roadproof vehicle file of type {name}"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **file}
 
 
 def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:

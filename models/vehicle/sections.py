@@ -70,7 +70,7 @@ class Weight(SI):
         return number_within(what, value, least, self.high, self.unit, more)
 
 
-WEIGHT = Weight("1", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
+WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
 
 
 class Terms(AnyTable):
@@ -100,8 +100,9 @@ class WeightSection(FilterSection):
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter; None for a constant weight."""
-        return None if self.filter is self.numerator is self.denominator is None else super().shape
+        """The filter; None for a sum of constant weight."""
+        unshaped = self.filter is self.numerator is self.denominator is None
+        return None if unshaped and self.sum is not None else super().shape
 
 
 def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
@@ -182,10 +183,10 @@ def curves_and_parameters(
     section: Mapping[str, Any], parameters: Mapping[str, Any], kind: VehicleKind
 ) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
-    curves, slopes = dict[str, "ForceCurve"](), dict[str, float]()
+    curves = dict[str, "ForceCurve"]()
     if section:
         from models.suspension.curve_reading import read_curves
-        from models.suspension.fitted_curves import curvable, with_slopes
+        from models.suspension.fitted_curves import curvable
 
         over, ratios = curvable(kind.suspensions), _ratios(section, kind)
         at_rest = {name: table.at_rest for name, table in ratios.items()}
@@ -195,7 +196,9 @@ def curves_and_parameters(
         curves = read_curves(entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name))
         kind = replace(kind, ratios=ratios) if ratios else kind
         slopes = {name: curve.slope for name, curve in curves.items()} | at_rest
-        parameters = with_slopes(parameters, slopes)
+        if twice := [name for name in slopes if name in parameters]:
+            raise InputError(f"{twice[0]} is in both [parameters] and [curves]; omit {twice[0]} in [parameters]")
+        parameters = {**parameters, **slopes}
     with error_in("[parameters]"):
         checked = kind.check_each(parameters)
     return curves, kind.check(checked), kind
