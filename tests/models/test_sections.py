@@ -1,6 +1,7 @@
 """Every key of every section of a file: wrong types, ranges, units and spellings are refused in a line with section and key."""
 
 import dataclasses
+import math
 import pickle
 
 import pytest
@@ -15,7 +16,7 @@ from models.suspension.motion_ratio import RatioSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
-from models.vehicle.vehicle import VehicleFile
+from models.vehicle.vehicle import VehicleFile, kind, kinds, read_vehicle
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 
@@ -93,3 +94,17 @@ def test_numbers(section, name, key):
             InputError, match=rf"^\[here\] {name}\S* = '3 A' has the unknown unit 'A', but a (pure number|unit of {number.unit}) "
         ):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_a_parameter(name):
+    """Every parameter of a built-in type is read with its unit, and refused with another unit or type, or out of its range."""
+    known, right = kind(name), dict(read_vehicle(name).parameters)
+    for one in known.parameters:
+        value = right.get(one.name, one.number.high)
+        assert known.check_each({**right, one.name: f"{value!r} {one.unit}"})[one.name] == value
+        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, "3 A"):
+            with pytest.raises(
+                InputError, match=rf"^{one.name} = .*; give a number from|but a (pure number|unit of {one.unit}) is"
+            ):
+                known.check_each({**right, one.name: wrong})
