@@ -20,7 +20,6 @@ from models.laws.filter import Filter, FilterSection
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
     from models.laws.goals import Goals
-    from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
@@ -394,21 +393,13 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
 
 
 def dampers_of(
-    section: Mapping[str, Any],
-    controllers: Mapping[str, Any],
-    kind: VehicleKind,
-    limits: "Limits",
-    parameters: Mapping[str, float],
-    curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
-    """Reads `[actuators]`. Returns the dampers, and the adjustable dampers of the vehicle."""
-    from models.suspension.adjustable_dampers import adjustable
+    section: Mapping[str, Any], controllers: Mapping[str, Any], corners: Mapping[str, str], limits: "Limits"
+) -> "dict[str, Damper]":
+    """Reads `[actuators]`: the adjustable dampers, by the force that each replaces."""
     from models.suspension.damper import read_actuators
 
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
-    dampers = read_actuators(section, kind.corners, () if forced else limits.of_actuators)
-    tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
-    return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
+    return read_actuators(section, corners, () if forced else limits.of_actuators)
 
 
 def goals_of(
