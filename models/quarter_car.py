@@ -81,10 +81,10 @@ def linear_model(p: Parameters) -> LinearModel:
         Bw=Bw,
         C=C,
         D=D,
-        states=signals.names_of(STATES),
+        states=tuple(signal.name for signal in STATES),
         inputs=(signals.CONTROL_FORCE.name,),
         disturbances=(signals.ROAD_VELOCITY.name,),
-        outputs=signals.names_of((*OUTPUTS, *ON_DEMAND)),
+        outputs=tuple(signal.name for signal in (*OUTPUTS, *ON_DEMAND)),
         Br=np.zeros((4, 1)),
         Cr=np.vstack([np.zeros((7, 1)), np.ones((2, 1))]),
         loads=(signals.HEAVE_LOAD.name,),
@@ -92,7 +92,7 @@ def linear_model(p: Parameters) -> LinearModel:
         Dl=Dl,
         Bt=Bt,
         Dw=np.vstack([np.zeros((6, 1)), Bt[3], np.zeros((2, 1))]),
-        heights=signals.names_of(HEIGHTS),
+        heights=tuple(signal.name for signal in HEIGHTS),
     )
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, quoted
 from models.common.schema import HERE, SI, Choice, Listed, Section
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
@@ -156,7 +156,7 @@ class Filter:
 
 
 POLYNOMIAL = Listed(
-    "coefficients of a filter in descending powers of s", SI("1", "", -LARGEST, LARGEST), ", in descending powers of s"
+    "coefficients of a filter in descending powers of s", SI("", "", -LARGEST, LARGEST), ", in descending powers of s"
 )
 
 
@@ -185,8 +185,8 @@ class FilterSection(Section):
             return Filter(WEIGHTINGS[self.filter], self.filter)
         if self.numerator is None or self.denominator is None:
             raise InputError(
-                "is not a filter; give the coefficients in descending powers of s as numerator = [...] and denominator = [...], "
-                f"or give filter = {listing(WEIGHTINGS)}"
+                "this is not a filter; give the coefficients in descending powers of s as numerator = [...] and denominator = "
+                f"[...], or give filter = {' or '.join(map(repr, WEIGHTINGS))}"
             )
         return Filter(((self.numerator, self.denominator),), integrates=self.integrates)
 

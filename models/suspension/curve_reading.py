@@ -89,7 +89,7 @@ Values = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Table(Section):
+class TableSection(Section):
     """A table of values of a quantity over an argument, or the file that has the table."""
 
     arguments: ClassVar[tuple[str, ...]] = ("velocity",)
@@ -119,7 +119,7 @@ class Table(Section):
 
 
 @dataclass(frozen=True)
-class CurveTable(Table):
+class CurveTable(TableSection):
     """Force at some points, straight between these."""
 
     preload: ClassVar[Any] = False
@@ -133,7 +133,7 @@ class CurveTable(Table):
 class StopTableSection(CurveTable):
     """Force of a bump stop."""
 
-    arguments: ClassVar[tuple[str, ...]] = ("deflection", "compression")
+    arguments: ClassVar[tuple[str, ...]] = ("compression", "deflection")
 
     deflection: Annotated[Values, DEFLECTION] | None = None
     compression: Annotated[Values, COMPRESSION] | None = None
@@ -156,6 +156,8 @@ class Preload(SI):
 class SpringTable(StopTableSection):
     """Force of a spring."""
 
+    arguments: ClassVar[tuple[str, ...]] = ("deflection", "compression")
+
     preload: Annotated[Any, Preload("N", "load that the table carries at rest; true for the static load", 1e-6, 1e7)] = False
 
 
@@ -171,12 +173,10 @@ class DamperTable(CurveTable):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, other in (FRICTION, FRICTION[::-1]):
-            if getattr(self, name) is None and getattr(self, other) is not None:
-                raise InputError(
-                    f"{HERE}.{name} is missing; a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, "
-                    "in m/s"
-                )
+        absent = [name for name in FRICTION if getattr(self, name) is None]
+        if len(absent) == 1:
+            what = "a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, in m/s"
+            raise InputError(f"{HERE}.{absent[0]} is missing; {what}")
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,6 @@ def read_curves(
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
-        section: the section, with tables instead of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
         load: parameter -> static load of its spring [N], or None if it is unknown.
 
@@ -224,10 +223,9 @@ def read_curves(
 
 
 def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | None] = lambda: None) -> ForceCurve:
-    """Returns a curve from its table, or from a list of tables and slopes that add up.
+    """Returns a curve from its table, or from a list of tables and slopes that add up; `where` is its place, for messages.
 
     Args:
-        where: its place, for messages.
         load: function that returns the static load of the spring [N], or None if it is unknown.
 
     Raises:

@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.common.printed import rough
 from models.suspension import SuspensionParts
 from models.suspension.curve import ForceCurve
@@ -73,18 +71,6 @@ def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
         f"{name} {rough(at)} (slope of the whole curve: {rough(low)} to {rough(high)})"
         for name, (at, low, high) in slopes.items()
     )
-
-
-def with_slopes(parameters: Mapping[str, Any], slopes: Mapping[str, float]) -> dict[str, Any]:
-    """Returns `[parameters]` with the slopes at rest of the curves that replace some, and motion ratios at rest.
-
-    Raises:
-        InputError: a parameter is given both ways.
-    """
-    for name in slopes:
-        if name in parameters:
-            raise InputError(f"{name} is in both [parameters] and [curves]; omit {name} in [parameters]")
-    return {**parameters, **slopes}
 
 
 def fitted(

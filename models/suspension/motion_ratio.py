@@ -26,7 +26,7 @@ from models.suspension import RATIO
 from models.suspension.bump_stops import Stop, Stops
 from models.suspension.curve import ForceCurve, slope_at_rest
 from models.suspension.curve_lines import lines_from_rest
-from models.suspension.curve_reading import DEFLECTION, FORCE, MOST_LINES, Table
+from models.suspension.curve_reading import DEFLECTION, FORCE, MOST_LINES, TableSection
 from models.suspension.surface import ForceSurface, surface_of
 
 # Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
@@ -198,7 +198,7 @@ def line(slope: float, low: float, high: float) -> ForceCurve:
 
 
 @dataclass(frozen=True)
-class RatioSection(Table):
+class RatioSection(TableSection):
     """Motion ratio over travel."""
 
     arguments: ClassVar[tuple[str, ...]] = (DEFLECTION.name,)
@@ -209,15 +209,7 @@ class RatioSection(Table):
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
-    """Returns a motion ratio from its table in a vehicle file.
-
-    Args:
-        where: its place, for messages.
-        check: raises an InputError for a ratio that is not allowed.
-
-    Raises:
-        InputError: the entry is not such a table.
-    """
+    """Returns a motion ratio from its table in a vehicle file; `check` raises an InputError for a ratio that is not allowed."""
     x, ratio = read(where, RatioSection, entry).points
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:

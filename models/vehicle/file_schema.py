@@ -13,7 +13,7 @@ from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import ROAD, WEIGHT, WeightSection
-from models.vehicle.vehicle import kind
+from models.vehicle.vehicle import VehicleFile, kind
 
 TABLE, NUMBER = {"type": "object"}, {"type": ["number", "string"]}
 WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
@@ -50,14 +50,10 @@ def file_schema(name: str) -> dict[str, Any]:
         "curves": TABLE | {"properties": curves, "additionalProperties": False},
         "controllers": TABLE | {"additionalProperties": json_schema(ControllerSection)},
     }
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"Roadproof vehicle file of type {name}",
-        "type": "object",
-        "properties": {"type": {"const": name}, **sections},
-        "required": ["type", "parameters", "performance"],
-        "additionalProperties": False,
-    }
+    file = json_schema(VehicleFile)
+    file["properties"] |= {"type": {"const": name}, **sections}
+    title = f"Roadproof vehicle file of type {name}"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **file}
 
 
 def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from models.laws.filter import Filter, FilterSection
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
     from models.laws.goals import Goals
-    from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
@@ -67,7 +66,7 @@ class Weight(SI):
         return number_within(what, value, least, self.high, self.unit, more)
 
 
-WEIGHT = Weight("1", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
+WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
 
 
 class Terms(AnyTable):
@@ -97,8 +96,9 @@ class WeightSection(FilterSection):
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter; None for a constant weight."""
-        return None if self.filter is self.numerator is self.denominator is None else super().shape
+        """The filter; None for a sum of constant weight."""
+        unshaped = self.filter is self.numerator is self.denominator is None
+        return None if unshaped and self.sum is not None else super().shape
 
 
 def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
@@ -170,10 +170,10 @@ def curves_and_parameters(
     section: Mapping[str, Any], parameters: Mapping[str, Any], kind: VehicleKind
 ) -> tuple[dict[str, "ForceCurve"], dict[str, float], VehicleKind]:
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
-    curves, slopes = dict[str, "ForceCurve"](), dict[str, float]()
+    curves = dict[str, "ForceCurve"]()
     if section:
         from models.suspension.curve_reading import read_curves
-        from models.suspension.fitted_curves import curvable, with_slopes
+        from models.suspension.fitted_curves import curvable
 
         over, ratios = curvable(kind.suspensions), _ratios(section, kind)
         at_rest = {name: table.at_rest for name, table in ratios.items()}
@@ -183,7 +183,9 @@ def curves_and_parameters(
         curves = read_curves(entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name))
         kind = replace(kind, ratios=ratios) if ratios else kind
         slopes = {name: curve.slope for name, curve in curves.items()} | at_rest
-        parameters = with_slopes(parameters, slopes)
+        if twice := [name for name in slopes if name in parameters]:
+            raise InputError(f"{twice[0]} is in both [parameters] and [curves]; omit {twice[0]} in [parameters]")
+        parameters = {**parameters, **slopes}
     with error_in("[parameters]"):
         checked = kind.check_each(parameters)
     return curves, kind.check(checked), kind
@@ -379,18 +381,10 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
 
 
 def dampers_of(
-    section: Mapping[str, Any],
-    controllers: Mapping[str, Any],
-    kind: VehicleKind,
-    limits: "Limits",
-    parameters: Mapping[str, float],
-    curves: Mapping[str, "ForceCurve"],
-) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
-    """Reads `[actuators]`. Returns the dampers, and the adjustable dampers of the vehicle."""
-    from models.suspension.adjustable_dampers import adjustable
+    section: Mapping[str, Any], controllers: Mapping[str, Any], corners: Mapping[str, str], limits: "Limits"
+) -> "dict[str, Damper]":
+    """Reads `[actuators]`: the adjustable dampers, by the force that each replaces."""
     from models.suspension.damper import read_actuators
 
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
-    dampers = read_actuators(section, kind.corners, () if forced else limits.of_actuators)
-    tables = [part.deflection for part in kind.suspensions if part.ratio in kind.ratios]
-    return dampers, adjustable(dampers, kind.suspensions, parameters, curves, tables)
+    return read_actuators(section, corners, () if forced else limits.of_actuators)

@@ -650,14 +650,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
         parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
-    section, dampers, adjusted = ImplementationSection(), dict[str, "Damper"](), ()
+    section, corners = ImplementationSection(), vehicle_kind.corners
     if given.implementation:
         units = {name: vehicle_kind.possible[name].unit for name in model.measurable}
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
     implementation, sampled = section.implementation, section.sampled
-    if given.actuators:
-        dampers, adjusted = dampers_of(given.actuators, given.controllers, vehicle_kind, limits, parameters, curves)
-    endings = {part.force: part.ending for part in adjusted}
+    dampers = dampers_of(given.actuators, given.controllers, corners, limits) if given.actuators else {}
+    endings = {force: ending for force, ending in corners.items() if force in dampers}
     controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)
     named = {*weights["performance"], *implementation.noise, *implementation.quantisation}
@@ -669,8 +668,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             named.add(part.velocity.name)
     vehicle_kind = vehicle_kind.naming(named)
     if dampers:
-        signals = (*vehicle_kind.signals, *of_dampers([part.ending for part in adjusted]))
-        vehicle_kind = replace(vehicle_kind, signals=signals)
+        vehicle_kind = replace(vehicle_kind, signals=(*vehicle_kind.signals, *of_dampers(endings.values())))
     vehicle = Vehicle(
         kind=vehicle_kind,
         parameters=parameters,
@@ -685,8 +683,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         curves=curves,
         dampers=dampers,
     )
+    _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
     for entry in controllers.values():
         vehicle.check_entry(entry)
-    if vehicle_kind.ratios:
-        _ = vehicle.fitted  # which are few enough lines
     return vehicle

@@ -24,7 +24,7 @@ from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
-from models.vehicle.vehicle import VehicleFile
+from models.vehicle.vehicle import VehicleFile, kind, kinds, read_vehicle
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber
@@ -122,10 +122,24 @@ def test_numbers(section, name, key):
         if section in IN_PYTHON:
             with pytest.raises(InputError, match=rf"^\w+ {range_of}$"):
                 section(**{name: wrong})
-    if isinstance(number, SI):
+    if isinstance(number, SI) and number.unit:
         unknown = f"'3 A' has the unknown unit 'A', but a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
         with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = {unknown}"):
             read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
         if section in IN_PYTHON:
             with pytest.raises(InputError, match=rf"^\w+ {name} = {unknown}"):
                 section(**{name: "3 A"})
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_a_parameter(name):
+    """Every parameter of a built-in type is read with its unit, and refused with another unit or type, or out of its range."""
+    known, right = kind(name), dict(read_vehicle(name).parameters)
+    for one in known.parameters:
+        value = right.get(one.name, one.number.high)
+        assert known.check_each({**right, one.name: f"{value!r} {one.unit}"})[one.name] == value
+        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, "3 A"):
+            with pytest.raises(
+                InputError, match=rf"^{one.name} = .*; give a number from|but a (pure number|unit of {one.unit}) is"
+            ):
+                known.check_each({**right, one.name: wrong})

@@ -37,8 +37,6 @@ CHANGES = [
     ("type is a number", '"quarter_car"', "4", ["type = 4", 'type = "quarter_car"']),
     ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
     ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
-    ("negative mass", MASS, "sprung_mass = -504.5", ["sprung_mass = -504.5", "from 1e-06 to 1e+12 kg"]),
-    ("NaN", MASS, "sprung_mass = nan", ["sprung_mass = nan", "from 1e-06 to 1e+12 kg"]),
     ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 99999", "from 1e-06 to 1e+12 kg"]),
     ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
     ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
@@ -102,11 +100,8 @@ ADDED = {
     ],
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, but ", "gives no sample period"),
-        ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
-        ("seed = 1.5", "seed = 1.5", "integer"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
         ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
-        ("noise = 1.0", "noise = 1.0 is not a table"),
     ],
     ("quarter_car_semi_active", VELOCITY): [
         ("mix = 0.5", "mix needs a semi-active law; give it"),
@@ -122,7 +117,6 @@ ADDED = {
         ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
         ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
     ],
-    ("full_car", "[limits]"): [],
     ("quarter_car", "[limits]"): [
         ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
         ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "[limits.suspension_stroke] rebound = -0.1"),
@@ -135,7 +129,6 @@ ADDED = {
             "suspension_stroke = '0.1' has no unit; add the unit, as in \"1.5 m\", or omit the quotes",
         ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
-        ('actuator_force = 1.0\nlimit = "both"', "limit = 'both' is not allowed; give 'force' or 'command'"),
         ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command', but no actuator_force; give actuator_force [N]"),
     ],
 }
