@@ -67,7 +67,9 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     for name, value in road.describe().items():
         if name not in description and name != "factor":
             raise InputError(f"{where} {name} is missing; drive over the road again")
-        logged = check(f"{where} {name}", description.get(name, value), float) if isinstance(value, float) else None
-        if logged is not None and not math.isclose(logged, value, rel_tol=SAME):
+        if not isinstance(value, float):
+            continue
+        logged = check(f"{where} {name}", description.get(name, value), float)
+        if not math.isclose(logged, value, rel_tol=SAME):
             raise InputError(f"{where} {name} was logged as {logged:g}, but is now {value:g}: the road differs")
     return road if factor is None else ScaledRoad(road, check(f"{where} factor", factor, float))
