@@ -685,7 +685,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         curves=curves,
         dampers=dampers,
     )
-    _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
+    if dampers or vehicle_kind.ratios:
+        _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
     for entry in controllers.values():
         vehicle.check_entry(entry)
     return vehicle
