@@ -28,10 +28,10 @@ from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
-from models.laws import semi_active
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
-from models.laws.goals import BOUND_KINDS, Goals
+from models.laws.goals import BOUNDS, Minimise
+from models.laws.law_structure import PidSection
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
@@ -41,7 +41,7 @@ from models.roads.road import Bump
 from models.suspension.curve_reading import DamperTable, SpringTable
 from models.suspension.damper import ActuatorSection
 from models.suspension.motion_ratio import RatioSection
-from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
+from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
@@ -192,29 +192,27 @@ def shown_in(key: str) -> str:
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
-    """Returns the keys of a section with their units and meanings."""
-    return [(name, key.unit, key.meaning) for name, key in schema.keys(section).items()]
+    """Returns the keys of a section with their units and meanings; the meaning of a choice lists its texts."""
+    rows = []
+    for name, key in schema.keys(section).items():
+        texts = ", ".join(f"`{one}`" for one in getattr(key, "texts", ()) if f"`{one}`" not in key.meaning)
+        rows.append((name, key.unit, f"{key.meaning}: {texts}".removesuffix(": ")))
+    return rows
 
 
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
-    entry, goals = attributes(ControllerEntry), attributes(Goals)
-    laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
     sections = {
         f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
         for name in kinds()
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
     sections["[performance]"] += section_keys(WeightSection)
-    sections["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
-    sections["bounds of a controller"] = [
-        (key, "", f"example: `{example}`" + (f"; with {', '.join(more)}" if more else ""))
-        for key, (more, example) in BOUND_KINDS.items()
-    ]
-    sections["semi-active laws"] = [
-        (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
-        for key in semi_active.KEYS
-    ]
+    sections["[controllers.NAME]"] = section_keys(ControllerSection)
+    sections["minimise of a controller"] = section_keys(Minimise)
+    bounds = [row for one in BOUNDS for row in section_keys(one)]
+    sections["bounds of a controller"] = [*dict.fromkeys(bounds)]
+    sections["pid of a controller"] = section_keys(PidSection)
     sections["[limits]"] = section_keys(LimitsSection)
     sections["[implementation]"] = section_keys(ImplementationSection)
     tables = (DamperTable, SpringTable, RatioSection)

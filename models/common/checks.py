@@ -141,29 +141,6 @@ def number_within(what: str, value: Any, smallest: float, largest: float, unit: 
     return float(value)
 
 
-def table_within(what: str, value: Any, give: str) -> Mapping[str, Any]:
-    """Returns a table of a file. `what` names it in the message, and `give` is what is allowed.
-
-    Raises:
-        InputError: the value is not a table.
-    """
-    if not isinstance(value, Mapping):
-        raise InputError(f"{what} = {quoted(value)} is not a table; give {give}")
-    return value
-
-
-def flag_within(where: str, table: Mapping[str, Any], key: str, usual: bool = False, more: str = "") -> bool:
-    """Returns True or False of a table, at the place `where`; `usual` if it is not given. `more` ends the message.
-
-    Raises:
-        InputError: the value is neither.
-    """
-    value = table.get(key, usual)
-    if not isinstance(value, bool):
-        raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false{more}")
-    return value
-
-
 def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
     """Raises an InputError if a table, at the place `where`, has an unknown key."""
     for key in table:

@@ -85,7 +85,7 @@ def settings(text: str, allowed: Iterable[str]) -> dict[str, str]:
     return values
 
 
-def size(rows: list[Any]) -> str:
+def size(rows: Sequence[Any]) -> str:
     """Returns the number of rows and their length as text."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"

@@ -13,7 +13,7 @@ and pickled without pydantic.
 
 import functools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
@@ -47,7 +47,7 @@ class Key:
         """Returns a value of a file, converted.
 
         Args:
-            context: facts of the vehicle, see `read`.
+            context: facts of the vehicle, see `read`, and the values of the keys that are declared before this one.
 
         Raises:
             InputError: the value is not allowed; `HERE` stands for section and key in its message.
@@ -57,7 +57,9 @@ class Key:
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
-        return core_schema.with_info_plain_validator_function(lambda value, info: self.read(value, info.context or {}))
+        return core_schema.with_info_plain_validator_function(
+            lambda value, info: self.read(value, {**(info.data or {}), **(info.context or {})})
+        )
 
 
 @dataclass(frozen=True)
@@ -196,9 +198,9 @@ class Listed(Key):
         listed = isinstance(value, list | tuple)
         if not listed or not self.least <= len(value) <= (self.most or len(value)):
             wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
-            least = "one value" if self.least == 1 else f"{self.least} values"
+            least = f" of at least {'one value' if self.least == 1 else f'{self.least} values'}" * bool(self.least)
             most = f", and at most {self.most}" if self.most else ""
-            raise InputError(f"{HERE} {wrong}; give a list of at least {least}{most}{self.more}")
+            raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
         items = []
         for i, one in enumerate(value):
             try:
@@ -232,28 +234,73 @@ class AnyTable(Key):
 
 
 @dataclass(frozen=True)
-class BySignal(Key):
-    """A table with a number from 0 for some signals, each in the unit of its signal.
+class Subsection(Key):
+    """A table that is a section by itself; of several sections, it is that whose first key without default the table has.
 
-    The context of the reader has `signals`: the unit of each signal that is allowed, by name.
+    The message for another value ends with `give`.
     """
 
     meaning: str = ""
+    sections: "tuple[type[Section], ...]" = ()
+    give: str = "a table"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns the section."""
+        fitting = self.sections if isinstance(value, Mapping) else ()
+        if len(fitting) > 1:
+            fitting = [one for one in fitting if next(iter(required(one))) in value]
+        if len(fitting) != 1:
+            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {self.give}")
+        return read(HERE, fitting[0], value, **context)
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the section."""
+        return {"anyOf": [json_schema(one) for one in self.sections]}
+
+
+@dataclass(frozen=True)
+class BySignal(Key):
+    """A table with a number of a range for some signals, or other names, each in the unit of its signal or in a common unit.
+
+    The context of the reader has a table `names`, with the unit of each name that is allowed.
+    """
+
+    meaning: str = ""
+    names: str = "signals"
+    low: float = 0.0
+    high: float = LARGEST
+    unit: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
         """Returns the numbers in SI units, by signal."""
-        signals = context["signals"]
+        units, what = context[self.names], self.names.removesuffix("s")
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ {next(iter(signals))} = 0.01 }}")
-        for signal in value:
-            if signal not in signals:
-                raise InputError(f"{HERE}: unknown signal {quoted(signal)}; measurable are {alike(signal, signals)}")
-        return {signal: SI(signals[signal], low=0.0).number(f"{HERE}.{signal}", one) for signal, one in value.items()}
+            example = f"{{ {next(iter(units), what)} = {max(self.low, 0.01):g} }}"
+            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {example}")
+        for name in value:
+            if name not in units:
+                raise InputError(f"{HERE}: unknown {what} {quoted(name)}; give one of {alike(name, units)}")
+        ranges = {name: SI(self.unit or units[name], low=self.low, high=self.high) for name in value}
+        return {name: ranges[name].number(f"{HERE}.{name}", one) for name, one in value.items()}
 
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the table."""
-        return {"type": "object", "additionalProperties": SI("of its signal", low=0.0).json}
+        return {"type": "object", "additionalProperties": SI("of its signal", "", self.low, self.high).json}
+
+
+@dataclass(frozen=True)
+class ReadBy(Key):
+    """A value of one section alone, which a function of value and context reads, as `Key.read` does."""
+
+    meaning: str = ""
+    function: Callable[[Any, Mapping[str, Any]], Any] = lambda value, _: value
+    unit: str = ""
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns what the function returns."""
+        return self.function(value, context)
 
 
 def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
@@ -283,7 +330,14 @@ class Section:
     def record(self) -> dict[str, Any]:
         """The section in a log: its keys that differ from the defaults, in SI units."""
         given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
-        return {name: value for name, (value, usual) in given.items() if value != usual}
+        return {name: _recorded(value) for name, (value, usual) in given.items() if value != usual}
+
+
+def _recorded(value: Any) -> Any:
+    """Returns a value of a section as TOML and JSON hold it."""
+    if isinstance(value, Section):
+        return value.record
+    return [_recorded(one) for one in value] if isinstance(value, tuple) else value
 
 
 S = TypeVar("S", bound=Section)
@@ -305,7 +359,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
     from pydantic import ValidationError
 
     if not isinstance(given, Mapping):
-        write = f"section; write {where}, and its keys below"
+        write = f"section; write {where} once, and its keys below"
         if not where.endswith("]"):
             write = f"table; give {{ ... }} with keys of {listing(keys(section))}"
         raise InputError(f"{where} = {quoted(given)} is not a {write}")
@@ -345,8 +399,8 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
 
 def _place(where: str, path: Sequence[str]) -> str:
     """Returns the name of a key as in TOML, its tables in brackets."""
-    if not where:
-        return ".".join(path)
+    if not where.endswith("]"):
+        return " ".join(filter(None, (where, ".".join(path))))
     return " ".join([f"{where[:-1]}.{'.'.join(path[:-1])}]" if path[1:] else where, *path[-1:]])
 
 
@@ -363,11 +417,15 @@ def keys(section: type) -> dict[str, Key]:
     return {field.name: _key(field.type) for field in fields(section)}
 
 
+def required(section: type) -> list[str]:
+    """Returns the names of the keys of a section that have no default."""
+    return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
+
+
 def json_schema(section: type) -> dict[str, Any]:
     """Returns the JSON schema of a section's table."""
     properties = {name: described(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
-    required = [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
-    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "required": required(section), "additionalProperties": False}
 
 
 def described(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:

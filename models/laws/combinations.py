@@ -9,8 +9,10 @@ from itertools import combinations
 from typing import Any
 
 from models.common.errors import InputError, quoted
-from models.laws import GOAL_KEYS
-from models.laws.linear import MATRICES, MOST_STATES
+from models.common.schema import keys
+from models.laws.goals import PATTERNS, Goals
+from models.laws.law_structure import FULL, STATIC, is_order
+from models.laws.linear import MATRICES
 
 KINDS = {  # of controllers: a section is one of them
     "gain": "`gain`",
@@ -42,20 +44,9 @@ DEMANDS = {  # beside a kind
 }
 WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-KEYS = (
-    "stable",
-    "fastest_pole",
-    "anti_windup",
-    "noise",
-    "lag",
-    "sampled",
-    "loads",
-    "goals",
-    "force",
-)  # columns of the site's first table
+# Columns of the site's first table:
+KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")
 FLAGS = ("stable", "noise", "lag", "sampled", "study")
-STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
-PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
 PREVIEW = "preview"  # a further one, of the state and the road ahead
 
@@ -116,11 +107,6 @@ def refusal(one: str, other: str) -> str:
     return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED.get(frozenset((one, other)), "")
 
 
-def is_order(value: object) -> bool:
-    """Returns True for a number of states that a law may have."""
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_STATES
-
-
 def goes(what: str, parts: Collection[str]) -> bool:
     """Returns True if a part or a command goes with all parts of a section."""
     return not any(refusal(what, part) for part in parts)
@@ -128,6 +114,9 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
     """Returns the parts of a section, each as written in the section. Values are not checked."""
+    tolerance = section.get("tolerance")
+    errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
+    goal_keys = [key for key in keys(Goals) if key in section and not (key == "tolerance" and errors and all(errors))]
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
     parts |= {"law": "fmu"} if "fmu" in section else {}
     filtered = isinstance(structure := section.get("structure"), str) and structure in PATTERNS
@@ -140,13 +129,15 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
         parts["order" if section["order"] else "steps"] = f"order = {section['order']}"
     if filtered:
         parts["pid"] = f'structure = "{structure}"'
-    if not parts and not any(key in section for key in GOAL_KEYS):
+    if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
     of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain
-    if goals := [key for key in GOAL_KEYS if key in section and not (of_law and key == "structure")]:
+    if goals := [key for key in goal_keys if not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
-    parts |= {key: key for key in ("fastest_pole", "anti_windup", "tolerance", "family", "loads") if key in section}
+    parts |= {key: key for key in ("fastest_pole", "anti_windup", "family", "loads") if key in section}
+    parts |= {"tolerance": "tolerance"} if "tolerance" in goals else {}
+    parts |= {WEIGHTS: "a weight in tolerance"} if any(errors) else {}
     measured = section.get("measured")
     if isinstance(measured, list) and "lag" not in parts and (forces := [name for name in measured if name in inputs]):
         parts["force"] = f"measured = {quoted(forces[0])}"

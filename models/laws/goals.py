@@ -8,35 +8,65 @@ structure = "corner"
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
 
-from models.common.checks import check_keys, is_finite, number_within, table_within
-from models.common.errors import InputError, listing, quoted
+from models.common.checks import is_finite, number_within
+from models.common.errors import InputError, alike, listing, quoted
+from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
+from models.common.units import in_unit
+from models.laws.filter import Filter, FilterSection
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
 CORNER = "corner"
+PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
+PERFORMANCE = "performance"
+FORCE = "force"  # in a tolerance: all actuators' forces
+SMALLEST, LARGEST = 1e-9, 1e12
+HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
+OVER = (
+    f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
+)
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-6, 1e6  # of an error that is the same at all frequencies
+LARGEST_TOLERANCE = 0.9  # relative; a sensor that may be off by its whole reading says nothing
 
 
-@dataclass(frozen=True, eq=False)
-class NormOf:
-    """Norm from the road to weighted signals.
+def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
+    """Returns the weights of a norm by signal, all 1 for a signal or a list of signals, or None for z of `[performance]`."""
+    if value == PERFORMANCE:
+        return None
+    names = [value] if isinstance(value, str) else value
+    if isinstance(names, list | tuple):
+        if len(names) != len({*map(repr, names)}):
+            raise InputError(f"{HERE} contains a signal twice; list each signal once")
+        value = {name if isinstance(name, str) else quoted(name): 1.0 for name in names}
+    if not isinstance(value, Mapping) or not value:
+        raise InputError(
+            f'{HERE} = {quoted(names)} is not allowed; give "{PERFORMANCE}", or a table of signals and weights, as in '
+            "{ sprung_acceleration = 1.0 }"
+        )
+    return BySignal(low=SMALLEST, unit="1").read(value, context)
 
-    Attributes:
-        signals: weights by signal; None for z of `[performance]`.
-        band: lower and upper frequency [Hz].
-    """
 
-    signals: Mapping[str, float] | None = None
-    band: tuple[float, float] = EVERYWHERE
+def _band(value: Any, context: Mapping[str, Any]) -> tuple[float, float]:
+    """Returns the lowest and the highest frequency of a band [Hz]."""
+    ends = [in_unit(one, "Hz", HERE) for one in value] if isinstance(value, list | tuple) else []
+    if len(ends) != 2 or not all(map(is_finite, ends)) or not 0 <= ends[0] < ends[1] <= HIGHEST:
+        raise InputError(
+            f"{HERE} = {quoted(value)} is not allowed; give the lowest and highest frequency, up to {HIGHEST:g} Hz, as "
+            "in band = [4.0, 8.0], or omit band for all frequencies"
+        )
+    return float(ends[0]), float(ends[1])
 
-    @property
-    def record(self) -> dict[str, Any]:
-        """The norm as a table of a vehicle file has it."""
-        signals = {"signals": dict(self.signals)} if self.signals is not None else {}
-        return signals | ({"band": list(self.band)} if self.narrow else {})
+
+@dataclass(frozen=True)
+class NormOf(Section):
+    """Norm from the road to weighted signals."""
+
+    signals: Annotated[Mapping[str, float], ReadBy("weights by signal, or `performance`", _weighted_signals)] | None = None
+    band: Annotated[tuple[float, float], ReadBy("lowest and highest frequency; default: all", _band, "Hz")] = EVERYWHERE
 
     @property
     def narrow(self) -> bool:
@@ -58,89 +88,195 @@ class NormOf:
         return f"norm{of}{where}"
 
 
-@dataclass(frozen=True, eq=False)
-class NormBound:
+@dataclass(frozen=True)
+class Minimise(NormOf):
+    """The norm that is minimised, and how the vehicles of a family count."""
+
+    over: Annotated[str, Choice("value over a family that is minimised", (WORST, REGRET), OVER)] = WORST
+
+
+def _signal(value: Any, context: Mapping[str, Any]) -> str:
+    """Returns the name of an output signal."""
+    if not isinstance(value, str) or value not in context["signals"]:
+        raise InputError(f"{HERE}: unknown signal {quoted(value)}; give one of {alike(value, context['signals'])}")
+    return value
+
+
+def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
+    """Returns the largest magnitude of the signal of a bound, written in the unit of this signal, in SI units."""
+    signal = context.get("peak", context.get("energy_peak"))
+    return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
+
+
+AtMost = Annotated[float, ReadBy("largest allowed magnitude, in the unit of the signal", _magnitude)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormBound(NormOf):
     """Upper bound on a norm."""
 
-    norm: NormOf
-    at_most: float
+    norm: Annotated[float, SI("1", "upper bound on a norm", SMALLEST)]
 
 
 @dataclass(frozen=True)
-class PeakBound:
-    """Upper bound on a signal's largest magnitude over a road, in the signal's unit.
+class PeakBound(Section):
+    """Upper bound on a signal's largest magnitude over a road."""
 
-    Attributes:
-        signal: name of the signal.
-        road: road in the form of `--road`.
-        speed: vehicle speed [m/s]; None for 12.5 m/s on any road.
-        at_most: the bound.
-    """
-
-    signal: str
-    road: str
-    speed: float | None
-    at_most: float
+    peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal)]
+    at_most: AtMost
+    road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
+    speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
 
 
 @dataclass(frozen=True)
-class EnergyBound:
-    """Upper bound on a signal's largest magnitude over all roads of given energy, in the signal's unit.
+class EnergyBound(Section):
+    """Upper bound on a signal's largest magnitude over all roads of given energy."""
 
-    Attributes:
-        signal: name of the signal.
-        energy: the integral of the squared velocity under all wheels together [m2/s].
-        at_most: the bound.
-    """
-
-    signal: str
-    energy: float
-    at_most: float
+    energy_peak: Annotated[str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal)]
+    at_most: AtMost
+    energy: Annotated[float, SI("m2/s", "integral of the squared velocity under all wheels together", SMALLEST)] = 1.0
 
 
 @dataclass(frozen=True)
-class DecayBound:
-    """Bound on the poles: all left of -rate [rad/s]."""
+class DecayBound(Section):
+    """Bound on the poles, which lie to the left of minus this rate."""
 
-    rate: float
+    decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
 
 @dataclass(frozen=True)
-class GainBound:
+class GainBound(Section):
     """Upper bound on the size of the gain's entries."""
 
-    at_most: float
+    gain: Annotated[float, SI("1", "largest magnitude of an entry of the gain", SMALLEST)]
 
 
 Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
+BOUNDS = (NormBound, PeakBound, EnergyBound, DecayBound, GainBound)
+EXAMPLES = (
+    "a bound, one of { norm = 8.6 }, { peak = SIGNAL, road = ROAD, at_most = 0.09 }, "
+    "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 } (m2/s), { decay = 1.2 } (rad/s), { gain = 2e4 }"
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Goals:
-    """Goals of one controller.
+def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filter]:
+    """Returns the largest relative errors of measured signals and of forces, by name: numbers, or weights over frequency."""
+    measured = context.get("measured", ())
+    if not isinstance(value, Mapping):
+        raise InputError(
+            f"{HERE} = {quoted(value)} is not a table; give the largest relative error of each sensor, as in tolerance = "
+            f"{{ {next(iter(measured), FORCE)} = 0.1 }} for 10 %"
+        )
+    forces = [force for force in context["corners"] if force not in measured]
+    if wrong := [name for name in value if name not in (*measured, *forces, FORCE)]:
+        allowed = listing((*measured, *forces, FORCE))
+        raise InputError(f"{HERE}: unknown key {quoted(wrong[0])}; give {allowed} ({FORCE} is all forces)")
+    if FORCE in value and any(force in value for force in forces):
+        raise InputError(f"{HERE} has both {FORCE}, which means all forces, and a single force; give one of the two")
+    return {name: _error(f"{HERE}.{name}", one) for name, one in value.items()}
 
-    Attributes:
-        minimise: the norm whose largest value over all vehicles and errors is minimised.
-        bounds: bounds for all vehicles; norms and decay for all errors, too.
-        tolerance: largest relative error of each measured signal, and each force, independent of one another, as in the file
-            see `force_error`.
-        family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
-        over: objective over a family: "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
-        structure: True if a measurement may act on a force, a row per force; None for no restriction.
+
+def _error(where: str, given: Any) -> float | Filter:
+    """Returns the largest relative error of a signal, or the weight of an error that depends on frequency."""
+    if not isinstance(given, Mapping):
+        more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
+        return number_within(where, in_unit(given, "1", where), 0.0, LARGEST_TOLERANCE, more=more)
+    if set(given) != {"weight"}:
+        raise InputError(
+            f"{where} = {quoted(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
+            "{ weight = { numerator = [...], denominator = [...] } } with coefficients in descending powers of s"
+        )
+    weight = given["weight"]
+    if not isinstance(weight, Mapping):
+        more = ", or numerator and denominator as coefficients in descending powers of s"
+        return Filter((((number_within(f"{where}.weight", weight, SMALLEST_WEIGHT, LARGEST_WEIGHT, more=more),), (1.0,)),))
+    return read(f"{where}.weight", FilterSection, weight).shape
+
+
+def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool, ...], ...]:
+    """Returns rows with True where a measurement may act on a force, or the pattern of a law."""
+    measured, corners = context.get("measured", ()), context["corners"]
+    if value in PATTERNS:
+        return value
+    if value == CORNER:
+        return corner_rows(f'{HERE} = "{CORNER}"', measured, corners)
+    fits = isinstance(value, list | tuple) and len(value) == len(corners) and all(isinstance(row, list | tuple) for row in value)
+    if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
+        raise InputError(
+            f'{HERE} = {quoted(value)} is not allowed; give "{CORNER}", "{PI}", "{PID}", or a list of {len(corners)} row(s), one '
+            f"for each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
+        )
+    if not any(any(row) for row in value):
+        raise InputError(f"{HERE} has only zeros, so the gain is 0; give a 1 where a signal may act on a force")
+    return tuple(tuple(bool(entry) for entry in row) for row in value)
+
+
+def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
+    """Returns True for each measurement of the corner of a force, a row per force. `what` is the key, for messages.
+
+    Raises:
+        InputError: a signal belongs to no corner, or a corner has no signal.
+    """
+    rows = tuple(tuple(not ending or signal.endswith(ending) for signal in measured) for ending in corners.values())
+    for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
+        if not any(used):
+            raise InputError(
+                f"{what}, but {signal!r} belongs to no corner; measure signals with the endings of the forces "
+                f"{listing(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
+            )
+    for force, row in zip(corners, rows, strict=True):
+        if not any(row):
+            raise InputError(f"{what}, but no measured signal is from the corner of {force!r}; add one")
+    return rows
+
+
+FAMILY = "factors on parameters of each vehicle"
+FACTORS = Listed("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goals(Section):
+    """Goals of one controller, keys of its section.
+
+    In a file, `tolerance` also has weights of errors, and `structure` is also the pattern of a law with states.
     """
 
-    minimise: NormOf = field(default_factory=NormOf)
-    bounds: tuple[Bound, ...] = ()
-    tolerance: Mapping[str, float] = field(default_factory=dict)
-    family: tuple[Mapping[str, float], ...] = ()
-    over: str = WORST
-    structure: tuple[tuple[bool, ...], ...] | None = None
+    minimise: Annotated[
+        Minimise, Subsection("norm that is minimised", (Minimise,), "a table, as in { band = [4.0, 8.0] } with frequencies in Hz")
+    ] = field(default_factory=Minimise)
+    bounds: Annotated[
+        tuple[Bound, ...],
+        Listed("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
+    ] = ()
+    tolerance: Annotated[
+        Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)
+    ] = field(default_factory=dict)
+    family: Annotated[tuple[Mapping[str, float], ...], ReadBy(f"{FAMILY}, or a file with them", FACTORS.read)] = ()
+    structure: Annotated[Any, ReadBy("rows of 0 and 1 by force, `corner`, or a law: `pi`, `pid`", _structure)] = None
+
+    def __post_init__(self) -> None:
+        if self.over == REGRET and not self.family:
+            raise InputError('minimise has over = "regret", which needs a family; add family = [{ ... }, ...], or omit over')
+
+    @property
+    def goals(self) -> "Goals":
+        """The goals of a gain alone, without errors that depend on frequency and without the pattern of a law."""
+        own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
+        own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
+        own["structure"] = None if self.structure in PATTERNS else self.structure
+        return Goals(**own)
+
+    @property
+    def over(self) -> str:
+        """Objective over a family."""
+        return self.minimise.over
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Signals that are minimised or bounded, beside those of `[performance]`."""
-        norms = (self.minimise, *(bound.norm for bound in self.bounds if isinstance(bound, NormBound)))
-        peaks = [bound.signal for bound in self.bounds if isinstance(bound, (PeakBound, EnergyBound))]
+        """Signals that are minimised or bounded, besides those of `[performance]`."""
+        norms = (self.minimise, *(bound for bound in self.bounds if isinstance(bound, NormBound)))
+        peaks = [bound.peak for bound in self.bounds if isinstance(bound, PeakBound)]
+        peaks += [bound.energy_peak for bound in self.bounds if isinstance(bound, EnergyBound)]
         return (*(name for norm in norms for name in norm.signals or ()), *peaks)
 
     def force_error(self, force: str) -> float:
@@ -158,232 +294,7 @@ class Goals:
     @property
     def record(self) -> dict[str, Any]:
         """The goals as in the section of a vehicle file."""
-        minimise = self.minimise.record | ({"over": self.over} if self.over != WORST else {})
-        section: dict[str, Any] = {"minimise": minimise} if minimise else {}
-        if self.bounds:
-            section["bounds"] = [_described(bound) for bound in self.bounds]
-        if self.tolerance:
-            section["tolerance"] = dict(self.tolerance)
-        if self.family:
-            section["family"] = [dict(member) for member in self.family]
+        section = {key: value for key, value in super().record.items() if value}
         if self.structure is not None:
             section["structure"] = [[int(allowed) for allowed in row] for row in self.structure]
         return section or {"minimise": {}}
-
-
-def _described(bound: Bound) -> dict[str, Any]:
-    """Returns a bound as a table of a vehicle file has it."""
-    match bound:
-        case NormBound(norm, at_most):
-            return {"norm": at_most, **norm.record}
-        case DecayBound(rate):
-            return {"decay": rate}
-        case GainBound(at_most):
-            return {"gain": at_most}
-        case EnergyBound(signal, energy, at_most):
-            return {"energy_peak": signal, "energy": energy, "at_most": at_most}
-        case PeakBound(signal, road, speed, at_most):
-            driven = {"speed": speed} if speed is not None else {}
-            return {"peak": signal, "road": road, **driven, "at_most": at_most}
-
-
-PERFORMANCE = "performance"
-FORCE = "force"  # in a tolerance: all actuators' forces
-SMALLEST, LARGEST = 1e-9, 1e12
-HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
-LARGEST_TOLERANCE = 0.9  # relative: a sensor that may be off by its whole reading says nothing
-LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
-
-BOUND_KINDS = {  # further keys of a bound, and an example
-    "norm": (("signals", "band"), "{ norm = 8.6 }"),
-    "peak": (("road", "speed", "at_most"), "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"),
-    "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 } (m2/s)"),
-    "decay": ((), "{ decay = 1.2 } (rad/s)"),
-    "gain": ((), "{ gain = 2e4 }"),
-}
-
-
-def read_goals(
-    where: str,
-    entry: Mapping[str, Any],
-    measured: Sequence[str],
-    outputs: Collection[str],
-    corners: Mapping[str, str],
-    parameters: Collection[str] = (),
-) -> Goals:
-    """Reads the goals of a section that has some.
-
-    Args:
-        where: the section, for messages.
-        entry: entries of the controller's section.
-        measured: names of the measured signals.
-        outputs: names of all signals.
-        corners: suffix of the names at a force's suspension, by force; empty for a single suspension.
-        parameters: names of the parameters that a family can vary.
-
-    Raises:
-        InputError: a key or a number that is not allowed.
-    """
-    minimise, over = _minimise(where, entry.get("minimise", {}), outputs)
-    family = _family(where, entry.get("family"), parameters)
-    if over == REGRET and not family:
-        raise InputError(
-            f'{where} minimise has over = "regret", which needs a family; add family = [{{ ... }}, ...], or omit over'
-        )
-    return Goals(
-        minimise,
-        _bounds(where, entry.get("bounds", []), outputs),
-        _tolerance(where, entry.get("tolerance", {}), measured, tuple(corners)),
-        family,
-        over,
-        read_structure(where, entry.get("structure"), measured, corners),
-    )
-
-
-def _minimise(where: str, value: Any, outputs: Collection[str]) -> tuple[NormOf, str]:
-    table_within(f"{where} minimise", value, "a table, as in minimise = { band = [4.0, 8.0] } with frequencies in Hz")
-    check_keys(f"{where} minimise", value, ("signals", "band", "over"))
-    over = value.get("over", WORST)
-    if over not in (WORST, REGRET):
-        raise InputError(
-            f'{where} minimise has over = {quoted(over)}; give "{WORST}" for the largest norm in the family, or "{REGRET}" for '
-            "the largest ratio of a vehicle's norm to its own smallest norm"
-        )
-    return _norm(f"{where} minimise", value, outputs), over
-
-
-def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> NormOf:
-    signals, band = value.get("signals", PERFORMANCE), value.get("band")
-    weights = None
-    if isinstance(signals, str) and signals != PERFORMANCE:
-        signals = [signals]
-    if isinstance(signals, list):
-        if len(signals) != len({*map(repr, signals)}):
-            raise InputError(f"{where} contains a signal twice; list each signal once")
-        signals = {name if isinstance(name, str) else quoted(name): 1.0 for name in signals}
-    if isinstance(signals, dict):
-        for name, weight in signals.items():
-            if name not in outputs:
-                raise InputError(f"{where} has the unknown signal {quoted(name)}; the signals are {listing(outputs)}")
-            number_within(f"{where} the weight of {name}", weight, SMALLEST, LARGEST)
-        weights = {name: float(weight) for name, weight in signals.items()}
-    elif signals != PERFORMANCE:
-        weights = {}
-    if weights is not None and not weights:
-        raise InputError(
-            f'{where} signals = {quoted(value["signals"])} is not allowed; give "performance", or a table of signals and '
-            "weights, as in { sprung_acceleration = 1.0 }"
-        )
-    if band is None:
-        return NormOf(weights)
-    fits = isinstance(band, list) and len(band) == 2 and all(is_finite(end) for end in band)
-    if not fits or not 0 <= band[0] < band[1] <= HIGHEST:
-        raise InputError(
-            f"{where} band = {quoted(band)} is not allowed; give the lowest and highest frequency, up to {HIGHEST:g} Hz, as "
-            "in band = [4.0, 8.0], or omit band for all frequencies"
-        )
-    ends = (float(band[0]), float(band[1]))
-    return NormOf(weights, ends if ends != EVERYWHERE else EVERYWHERE)
-
-
-def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
-    if not isinstance(value, list) or not all(isinstance(bound, dict) for bound in value):
-        raise InputError(f"{where} bounds = {quoted(value)} is not a list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
-    return tuple(_bound(f"{where} bounds[{i}]", bound, outputs) for i, bound in enumerate(value))
-
-
-def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bound:
-    kinds = [key for key in BOUND_KINDS if key in value]
-    if len(kinds) != 1:
-        raise InputError(
-            f"{where} = {quoted(dict(value))} is not a bound; give one of {', '.join(text for _, text in BOUND_KINDS.values())}"
-        )
-    kind = kinds[0]
-    check_keys(where, value, (kind, *BOUND_KINDS[kind][0]))
-    if kind == "norm":
-        return NormBound(_norm(where, value, outputs), number_within(f"{where} norm", value["norm"], SMALLEST, LARGEST))
-    if kind == "decay":
-        return DecayBound(number_within(f"{where} decay", value["decay"], SMALLEST, LARGEST, "rad/s"))
-    if kind == "gain":
-        return GainBound(number_within(f"{where} gain", value["gain"], SMALLEST, LARGEST))
-    signal, road = value[kind], value.get("road", "bump")
-    if signal not in outputs:
-        raise InputError(f"{where} has the unknown signal {quoted(signal)}; the signals are {listing(outputs)}")
-    if "at_most" not in value:
-        raise InputError(f"{where} has no at_most; give the largest allowed magnitude of {signal} in SI units as at_most")
-    at_most = number_within(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
-    if kind == "energy_peak":
-        return EnergyBound(signal, number_within(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
-    if not isinstance(road, str):
-        raise InputError(f'{where} road = {quoted(road)} is not a road; give its name, as in road = "bump:height=0.08"')
-    speed = number_within(f"{where} speed", value["speed"], 0.1, 200.0, "m/s") if "speed" in value else None
-    return PeakBound(signal, road, speed, at_most)
-
-
-def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence[str]) -> dict[str, float]:
-    give = f"the largest relative error of each sensor, as in tolerance = {{ {measured[0]} = 0.1 }} for 10 %"
-    table_within(f"{where} tolerance", value, give)
-    allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
-    for name, share in value.items():
-        if name not in allowed:
-            raise InputError(f"{where} tolerance: unknown key {quoted(name)}; give {listing(allowed)} ({FORCE} is all forces)")
-        more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-        number_within(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
-    if FORCE in value and any(force in value for force in forces if force not in measured):
-        raise InputError(f"{where} tolerance has both {FORCE}, which means all forces, and a single force; give one of the two")
-    return {name: float(share) for name, share in value.items()}
-
-
-def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mapping[str, float], ...]:
-    if value is None:
-        return ()
-    if not isinstance(value, list) or not value or not all(isinstance(member, dict) for member in value):
-        raise InputError(
-            f"{where} family = {quoted(value)} is not a list of vehicles; give each vehicle's factors on parameters, as in "
-            "family = [{}, { sprung_mass = 1.4 }]"
-        )
-    for i, member in enumerate(value):
-        for name, factor in member.items():
-            if name not in parameters:
-                raise InputError(f"{where} family[{i}] has no parameter {quoted(name)}; the parameters are {listing(parameters)}")
-            number_within(f"{where} family[{i}] the factor on {name}", factor, LOWEST_FACTOR, HIGHEST_FACTOR)
-    return tuple({name: float(factor) for name, factor in member.items()} for member in value)
-
-
-def read_structure(
-    where: str, value: Any, measured: Sequence[str], corners: Mapping[str, str]
-) -> tuple[tuple[bool, ...], ...] | None:
-    """Reads which measurement may act on which force, True where one may, a row per force; None if `value` is.
-
-    Args:
-        value: "corner", or rows of 0 and 1.
-        corners: suffix of the names at a force's suspension, by force.
-
-    Raises:
-        InputError: the value is neither, or it omits a signal or a force.
-    """
-    if value is None:
-        return None
-    if value == CORNER:
-        rows = tuple(tuple(not ending or signal.endswith(ending) for signal in measured) for ending in corners.values())
-        for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
-            if not any(used):
-                raise InputError(
-                    f'{where} structure = "{CORNER}", but {signal!r} belongs to no corner; measure signals with the endings of '
-                    f"the forces {listing(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
-                )
-        for force, row in zip(corners, rows, strict=True):
-            if not any(row):
-                raise InputError(
-                    f'{where} structure = "{CORNER}", but no measured signal is from the corner of {force!r}; add one'
-                )
-        return rows
-    fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
-    if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
-        raise InputError(
-            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or a list of {len(corners)} row(s), one for '
-            f"each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
-        )
-    if not any(any(row) for row in value):
-        raise InputError(f"{where} structure has only zeros, so the gain is 0; give a 1 where a signal may act on a force")
-    return tuple(tuple(bool(entry) for entry in row) for row in value)

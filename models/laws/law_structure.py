@@ -11,21 +11,20 @@ no minus: a positive force lifts the body, so that negative gains on an extensio
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.checks import check_keys, is_finite, number_within, table_within
+from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import entry
-from models.laws.combinations import PI, PID, is_order
-from models.laws.goals import CORNER, read_structure
-from models.laws.linear import LARGEST, MATRICES, LinearLaw
+from models.common.schema import HERE, SI, ReadBy, Section, Subsection
+from models.laws.goals import PATTERNS, PI, PID, Goals, corner_rows
+from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
+STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
 ITS_GAINS = "designed gains: "  # begins the remark on a PI or PID law that is designed
-SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
@@ -49,6 +48,11 @@ class LawStructure:
     def text(self) -> str:
         """The structure as in a vehicle file."""
         return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The key of a vehicle file that names the structure."""
+        return {"structure": self.kind} if self.kind else {"order": self.order}
 
     def states(self, forces: int) -> int:
         """Returns how many states a law for so many forces has at most, without those of PI and PID."""
@@ -75,53 +79,97 @@ def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
     )
 
 
-def read_law_structure(
-    where: str, entry: Mapping[str, Any], measured: Sequence[str], corners: Mapping[str, str]
-) -> LawStructure | None:
-    """Reads the structure of a law that is designed; None if a section has none.
-
-    Args:
-        corners: suffix of the names at a force's suspension, by force.
-
-    Raises:
-        InputError: the structure is not allowed.
-    """
-    order, structure = entry.get("order"), entry.get("structure")
-    if structure in (PI, PID):
-        kind = PI if structure == PI else PID
-        rows = _one_each(where, f'structure = "{kind}"', measured, corners)
-        return LawStructure(rows=rows, kind=kind, filter=_filter(where, kind, entry))
-    if not is_order(order) or not order:
-        return None
-    return LawStructure(order, read_structure(where, structure, measured, corners))
+def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
+    """Returns a gain for each force: one number for all, or a list."""
+    m = len(context["corners"])
+    several = value if isinstance(value, list | tuple) else [value] * m
+    if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
+        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number, or a list of {m} number(s), one per force")
+    return tuple(float(one) for one in several)
 
 
-def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw:
-    """Reads a PID law of given numbers, without the states that do nothing.
+@dataclass(frozen=True)
+class PidSection(Section):
+    """Numbers of a PI or PID law."""
 
-    Raises:
-        InputError: a number is missing or not allowed, or there is not one signal for each force.
-    """
-    table = table_within(f"{where} pid", entry["pid"], f"a table, as in {EXAMPLE}")
-    if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
-        raise InputError(f"{where} has both pid and {beside[0]}, but a controller has only one law; omit one of them")
-    rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
-    check_keys(f"{where} pid", table, (*GAINS, FILTER))
-    m = len(corners)
-    kp, ki, kd = (_gains(f"{where} pid.{name}", table.get(name, 0.0), m) for name in GAINS)
-    if np.any(kd) and FILTER not in table:
+    kp: Annotated[tuple[float, ...], ReadBy("proportional gain, one for all forces, or one for each", _gains)] = ()
+    ki: Annotated[tuple[float, ...], ReadBy("integral gain", _gains)] = ()
+    kd: Annotated[tuple[float, ...], ReadBy("derivative gain", _gains)] = ()
+    filter: Annotated[float, SI("s", "time constant of the derivative's low-pass filter", high=1e3)] | None = None
+
+
+def _order(value: Any, context: Mapping[str, Any]) -> str | int:
+    """Returns the name of an order, or a number of states."""
+    if value not in (STATIC, FULL) and not is_order(value):
         raise InputError(
-            f"{where} pid has kd but no filter, so a step would cause an infinite force; give the time constant of the "
-            "derivative's filter in seconds, as in filter = 0.01"
+            f"{HERE} = {quoted(value)} is unknown; give one of {FULL}, {STATIC}, or a number of states from 0 to {MOST_STATES}"
         )
-    if FILTER in table and not np.any(kd):
-        raise InputError(f"{where} pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
-    filter = number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s") if FILTER in table else 1.0
-    law = side_by_side(pid_filter(PID, filter), m)
-    K = _block(kp, ki, kd)
-    C, D = K @ law.C, K @ law.D
-    kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
-    return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
+    return value
+
+
+def is_order(value: object) -> bool:
+    """Returns True for a number of states that a law may have."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_STATES
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructureSection(Goals):
+    """Keys of a controller's section that give the structure of a law, with those of its goals."""
+
+    order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order)] | None = None
+    pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
+
+    def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
+        """Returns the structure of the law that is designed; None for a static gain, a law of full order and a given law.
+
+        Args:
+            measured: names of the measured signals.
+            corners: suffix of the names at a force's suspension, by force.
+
+        Raises:
+            InputError: the structure does not fit the signals, or `pid` does not fit the structure.
+        """
+        if self.structure not in PATTERNS:
+            return LawStructure(self.order, self.structure) if self.order and is_order(self.order) else None
+        what, pid = f'structure = "{self.structure}"', self.pid or PidSection()
+        rows = _one_each(what, measured, corners)
+        if given := [name for name in GAINS if getattr(pid, name)]:
+            raise InputError(
+                f"{what} designs the gains, but pid already gives {given[0]}; omit structure to use the given gains, or give "
+                "only filter in pid"
+            )
+        if self.structure == PI and pid.filter is not None:
+            raise InputError(f"{what} has no derivative, but the key pid sets a filter for one; omit pid")
+        if self.structure == PID and pid.filter is None:
+            raise InputError(
+                f"{what} needs the time constant of the derivative's low-pass filter; give it in seconds, as in "
+                "pid = { filter = 0.01 }"
+            )
+        return LawStructure(rows=rows, kind=self.structure, filter=pid.filter or 0.0)
+
+    def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
+        """Returns the PID law of given numbers, without the states that do nothing; None for any other law.
+
+        Args and errors are those of `law_structure`.
+        """
+        pid = self.pid
+        if pid is None or self.structure in PATTERNS:
+            return None
+        m, rows = len(corners), np.array(_one_each("pid", measured, corners), dtype=float)
+        if np.any(pid.kd) and pid.filter is None:
+            raise InputError(
+                "pid has kd but no filter, so a step would cause an infinite force; give the time constant of the derivative's "
+                "filter in seconds, as in filter = 0.01"
+            )
+        if pid.filter is not None and not np.any(pid.kd):
+            raise InputError("pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
+        K = np.zeros((m, 3 * m))  # on what the filters of all signals give
+        for part, gains in enumerate((pid.kp, pid.ki, pid.kd)):
+            K[range(m), range(part, 3 * m, 3)] = gains or 0.0
+        law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
+        C, D = K @ law.C, K @ law.D
+        kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
+        return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 
 
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
@@ -164,52 +212,14 @@ def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
 
-def _block(kp: Array, ki: Array, kd: Array) -> Array:
-    """The gain on what the filters of all signals give, shape (m, 3 m)."""
-    m = len(kp)
-    K = np.zeros((m, 3 * m))
-    for i, gains in enumerate(zip(kp, ki, kd, strict=True)):
-        K[i, 3 * i : 3 * i + 3] = gains
-    return K
-
-
-def _one_each(where: str, written: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
-    """Returns which measurement acts on which force, one on each."""
+def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
+    """Returns which measurement acts on which force, one on each. `what` is the key, for messages."""
     m, q = len(corners), len(measured)
     if q == m and not any(corners.values()):
         return tuple(tuple(i == j for j in range(q)) for i in range(m))
     if q != m:
         raise InputError(
-            f"{where} {written} needs one measured signal for each force, but measured has {q} signal(s) for {m} force(s); give "
+            f"{what} needs one measured signal for each force, but measured has {q} signal(s) for {m} force(s); give "
             f"{m} signal(s)"
         )
-    return read_structure(where, CORNER, measured, corners) or ()
-
-
-def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
-    """Returns the time constant of the derivative of a law that is designed [s]; 0 for PI."""
-    table = table_within(f"{where} pid", entry.get("pid", {}), "a table, as in pid = { filter = 0.01 }")
-    if given := [name for name in GAINS if name in table]:
-        raise InputError(
-            f'{where} structure = "{kind}" designs the gains, but pid already gives {given[0]}; omit structure to use the '
-            "given gains, or give only filter in pid"
-        )
-    check_keys(f"{where} pid", table, (FILTER,))
-    if kind == PI:
-        if table:
-            raise InputError(f'{where} structure = "{PI}" has no derivative, but the key pid sets a filter for one; omit pid')
-        return 0.0
-    if FILTER not in table:
-        raise InputError(
-            f'{where} structure = "{PID}" needs the time constant of the derivative\'s low-pass filter; give it in seconds, as '
-            "in pid = { filter = 0.01 }"
-        )
-    return number_within(f"{where} pid.filter", table[FILTER], SHORTEST, LONGEST, "s")
-
-
-def _gains(what: str, value: Any, m: int) -> Array:
-    """Returns a gain for each force: one number for all, or a list."""
-    several = value if isinstance(value, list) else [value] * m
-    if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number, or a list of {m} number(s), one per force")
-    return np.array(several, dtype=float)
+    return corner_rows(what, measured, corners)

@@ -18,7 +18,7 @@ from scipy import linalg
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError
 from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
-from models.laws.python_law import checked_preview, samples_ahead
+from models.laws.python_law import AHEAD, samples_ahead
 
 COMPARED = 100  # samples at which two previews are compared
 MOST_PRODUCTS = 2e9  # of a sum that is made term by term, in a second
@@ -56,7 +56,7 @@ class RoadPreview:
         for name, shape in {"A": (k, k), "H": (k, r), "C": (len(self.C), k)}.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"{name} of a preview law has shape {getattr(self, name).shape}; expected {shape}")
-        object.__setattr__(self, "seconds", checked_preview("a", self.seconds))
+        object.__setattr__(self, "seconds", AHEAD.number("a preview", self.seconds))
 
     @property
     def record(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 from xml.etree import ElementTree
@@ -17,15 +18,15 @@ from xml.etree import ElementTree
 from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.files import origin, read_bytes, read_text
+from models.common.schema import HERE, SI, ReadBy, Section
 from models.laws.law import ControlLaw
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
-FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
+FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
 GIVE = 'give a file next to the vehicle file and a function in this file, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
+AHEAD = SI("s", "time by which a law in Python or a design with preview knows the road ahead", 0.0, 60.0)
 TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
-NAMES = ("inputs", "outputs")  # of an FMU
-FURTHEST = 60.0  # s of the road ahead
 
 
 @dataclass(frozen=True)
@@ -188,9 +189,8 @@ def of_function(function: Any, measurable: Sequence[str]) -> Programmed:
         source = inspect.getsource(function)
     except (OSError, TypeError):  # typed at a prompt, or an object
         source = ""
-    return Programmed(
-        name, measured, PythonLaw(name, None if preview is None else checked_preview(name, preview)), source, function
-    )
+    ahead = None if preview is None else AHEAD.number(f"{name} preview", preview)
+    return Programmed(name, measured, PythonLaw(name, ahead), source, function)
 
 
 def sha256(text: str) -> str:
@@ -198,62 +198,48 @@ def sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _names(where: str, key: str, given: Any) -> dict[str, str]:
+def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
+    """Returns a name that has a file in the folder of the vehicle file or below. Opens no file."""
+    match = pattern.fullmatch(value) if isinstance(value, str) else None
+    if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
+        raise InputError(f"{HERE} = {quoted(value)} is not {expected}")
+    return value
+
+
+def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
     """Returns the signals by names of an FMU's variables."""
-    if not isinstance(given, Mapping) or not all(isinstance(signal, str) for signal in given.values()):
-        example = "suspension_deflection" if key == "inputs" else "control_force"
-        raise InputError(
-            f'{where} {key} = {quoted(given)} is not allowed; give a signal for each variable, as in {{ In1 = "{example}" }}'
-        )
-    return {str(name): str(signal) for name, signal in given.items()}
+    if not isinstance(value, Mapping) or not all(isinstance(signal, str) for signal in value.values()):
+        example = '{ In1 = "suspension_deflection" } for inputs, or { Out1 = "control_force" } for outputs'
+        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a signal for each variable, as in {example}")
+    return {str(name): signal for name, signal in value.items()}
 
 
-def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> PythonLaw | None:
-    """Returns the law in Python that an entry of `[controllers]` names, or None if it names no such law. Opens no file.
+@dataclass(frozen=True, kw_only=True)
+class ProgramSection(Section):
+    """Keys of a controller's section with a law in Python or an FMU."""
 
-    Raises:
-        InputError: `law` or `preview` is not allowed.
-    """
-    if "fmu" in entry:
-        fmu = entry["fmu"]
-        named = isinstance(fmu, str) and FMU.fullmatch(fmu) is not None and not Path(fmu).is_absolute()
-        if not named or fmu.startswith("~") or ".." in Path(fmu).parts:
-            raise InputError(f"{where} fmu = {quoted(fmu)} is not an FMU; {GIVE_FMU}")
-        beside = [key for key in ("law", "preview") if key in entry]
-        if beside:
+    law: Annotated[str, ReadBy("law in Python, `FILE.py:NAME`", partial(_beside, LAW, f"a law in Python; {GIVE}"))] | None = None
+    preview: Annotated[float, AHEAD] | None = None
+    fmu: Annotated[str, ReadBy("FMU that is a law", partial(_beside, FMU, f"an FMU; {GIVE_FMU}"))] | None = None
+    inputs: Annotated[Mapping[str, str], ReadBy("signals by the names of an FMU's inputs", _variables)] | None = None
+    outputs: Annotated[Mapping[str, str], ReadBy("forces by the names of an FMU's outputs", _variables)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.fmu is not None and (others := [key for key in ("law", "preview") if getattr(self, key) is not None]):
             raise InputError(
-                f"{where} has both fmu and {listing(beside)}, but an FMU is a complete law without preview; omit one of them"
+                f"has both fmu and {listing(others)}, but an FMU is a complete law without preview; omit one of them"
             )
-        return PythonLaw(fmu, None, folder, *(_names(where, key, entry.get(key, {})) for key in NAMES))
-    if named := [key for key in NAMES if key in entry]:
-        raise InputError(f"{where} {named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
-    if "law" not in entry:
-        from models.laws.combinations import PREVIEW  # loads SciPy, which a child process that runs a law does not need
+        if self.fmu is None and (named := [key for key in ("inputs", "outputs") if getattr(self, key) is not None]):
+            raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
 
-        if "preview" in entry and entry.get("design") != PREVIEW:
-            raise InputError(
-                f'{where} preview needs a law in Python or design = "{PREVIEW}", which receive the road ahead; omit preview, '
-                f"or {GIVE}"
-            )
-        return None
-    law = entry["law"]
-    match = LAW.fullmatch(law) if isinstance(law, str) else None
-    if match is None or Path(match["file"]).is_absolute() or law.startswith("~") or ".." in Path(match["file"]).parts:
-        raise InputError(f"{where} law = {quoted(law)} is not a law in Python; {GIVE}")
-    preview = entry.get("preview")
-    return PythonLaw(law, None if preview is None else checked_preview(where, preview), folder)
+    def program(self, folder: Path | None) -> PythonLaw | None:
+        """Returns the law in Python or the FMU, or None without one. Opens no file.
 
-
-def checked_preview(where: str, preview: Any) -> float:
-    """Returns how far the road ahead is known [s].
-
-    Raises:
-        InputError: the value is not a number of seconds from 0 to `FURTHEST`.
-    """
-    real = isinstance(preview, (int, float)) and not isinstance(preview, bool)
-    if not real or not 0 <= preview <= FURTHEST:
-        raise InputError(f"{where} preview = {quoted(preview)} is not allowed; give a number from 0 to {FURTHEST:g} s")
-    return float(preview)
+        Args:
+            folder: folder of the vehicle file; None for a vehicle file from text.
+        """
+        law = self.law or self.fmu
+        return None if law is None else PythonLaw(law, self.preview, folder, self.inputs or {}, self.outputs or {})
 
 
 def samples_ahead(preview: float, period: float) -> int:

@@ -11,13 +11,13 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import number_within
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing
+from models.common.schema import SI, Choice, Section, keys
 from models.laws.law import ControlLaw
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
@@ -25,7 +25,6 @@ SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
 CROSSOVER = 12.0  # rad/s, 1.9 Hz: a little above a car's body on its springs, where skyhook and ADD are alike good
-SMALLEST, LARGEST = 1e-6, 1e12
 
 Quantity = Any  # an array of many, or a number of one
 
@@ -163,8 +162,6 @@ LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook_add": (skyhook_add, (*BOTH, ACCELERATION), ("crossover",)),
     "skyhook_modal": (skyhook_modal, (UNSPRUNG,), ("sky_damping", "heave_damping", "pitch_damping", "roll_damping")),
 }
-KEYS = ("semi_active", "sky_damping", "ground_damping", "mix", "crossover", "heave_damping", "pitch_damping", "roll_damping")
-UNITS = {"mix": "", "crossover": "rad/s"}
 MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": MODES[2]}
 
 
@@ -248,48 +245,55 @@ class SemiActive(ControlLaw):
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 
 
-def read_semi_active(
-    where: str, entry: Mapping[str, Any], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
-) -> SemiActiveLaw | None:
-    """Returns the semi-active law that an entry of `[controllers]` names, or None if it names no such law.
-
-    Args:
-        endings: suffix of the names at every suspension with an adjustable damper, by force.
-
-    Raises:
-        InputError: a key or value is unknown or not allowed, or the vehicle lacks a signal or damper of the law.
-    """
-    name = entry.get("semi_active")
-    others = [key for key in entry if key in KEYS[1:]]
-    if "semi_active" not in entry:
-        if others:
-            raise InputError(f'{where} {others[0]} needs a semi-active law; give it, as in semi_active = "skyhook"')
-        return None
-    if not isinstance(name, str) or name not in LAWS:
-        raise InputError(f"{where} semi_active = {quoted(name)} is unknown; give one of {listing(LAWS)}")
-    law, _, keys = LAWS[name]
-    for key in entry:
-        if key != "semi_active" and key not in keys:
-            known = f"its keys are {listing(keys)}" if keys else "this law has no keys"
-            raise InputError(f"{where} semi_active = {quoted(name)} has no key {key!r} ({known}); omit {key}")
-    if absent := [force for force in inputs if force not in endings]:
-        raise InputError(
-            f"{where} semi_active = {quoted(name)} needs semi-active dampers, but {absent[0]} has none; give "
-            '[actuators] kind = "damper", c_min and c_max'
-        )
-    numbers = tuple((key, _number(where, key, entry[key])) for key in keys if key in entry)
-    modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
-    if law is skyhook_modal and not modes:
-        raise InputError(f'{where} semi_active = {quoted(name)} needs a body that pitches or rolls; give "skyhook_linear"')
-    for key, mode in MODAL.items():
-        if key in entry and mode not in modes:
-            raise InputError(f"{where} {key} has no effect, because this vehicle has no {mode}; omit {key}")
-    read = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
-    if lacking := [signal for signal in read.measured if signal not in outputs]:
-        raise InputError(f"{where} semi_active = {quoted(name)} measures {lacking[0]!r}, which this vehicle type does not have")
-    return read
+DAMPING = "coefficient of a damper between body and sky"
 
 
-def _number(where: str, key: str, value: Any) -> float:
-    smallest, largest = (0.0, 1.0) if key == "mix" else (SMALLEST, LARGEST) if key == "crossover" else (0.0, LARGEST)
-    return number_within(f"{where} {key}", value, smallest, largest, UNITS.get(key, "N s/m"))
+@dataclass(frozen=True, kw_only=True)
+class SemiActiveSection(Section):
+    """Keys of a controller's section with a semi-active law."""
+
+    semi_active: Annotated[str, Choice("semi-active law that ships", (*LAWS,))] | None = None
+    sky_damping: Annotated[float, SI("N s/m", DAMPING, 0.0)] | None = None
+    ground_damping: Annotated[float, SI("N s/m", "coefficient of a damper between wheel and ground", 0.0)] | None = None
+    mix: Annotated[float, SI("1", "weight of skyhook: 1 is skyhook alone, 0 groundhook alone", 0.0, 1.0)] | None = None
+    crossover: Annotated[float, SI("rad/s", "frequency with skyhook below and ADD above")] | None = None
+    heave_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for heave alone", 0.0)] | None = None
+    pitch_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for pitch alone", 0.0)] | None = None
+    roll_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for roll alone", 0.0)] | None = None
+
+    def semi_active_law(
+        self, given: Sequence[str], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
+    ) -> SemiActiveLaw | None:
+        """Returns the semi-active law, or None without one.
+
+        Args:
+            given: keys of the section in the file.
+            outputs, inputs: signals and forces of the vehicle.
+            endings: suffix of the names at every suspension with an adjustable damper, by force.
+
+        Raises:
+            InputError: a key is one of another law, or the vehicle lacks a signal or damper of the law.
+        """
+        if self.semi_active is None:
+            if others := [key for key in given if key in keys(SemiActiveSection)]:
+                raise InputError(f'{others[0]} needs a semi-active law; give it, as in semi_active = "skyhook"')
+            return None
+        (law, _, own), what = LAWS[self.semi_active], f"semi_active = {self.semi_active!r}"
+        if wrong := [key for key in given if key not in ("semi_active", *own)]:
+            known = f"its keys are {listing(own)}" if own else "this law has no keys"
+            raise InputError(f"{what} has no key {wrong[0]!r} ({known}); omit {wrong[0]}")
+        if absent := [force for force in inputs if force not in endings]:
+            raise InputError(
+                f'{what} needs semi-active dampers, but {absent[0]} has none; give [actuators] kind = "damper", c_min and c_max'
+            )
+        modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
+        if law is skyhook_modal and not modes:
+            raise InputError(f'{what} needs a body that pitches or rolls; give "skyhook_linear"')
+        for key, mode in MODAL.items():
+            if key in given and mode not in modes:
+                raise InputError(f"{key} has no effect, because this vehicle has no {mode}; omit {key}")
+        numbers = tuple((key, getattr(self, key)) for key in own if key in given)
+        law = SemiActiveLaw(self.semi_active, numbers, tuple(endings[force] for force in inputs), modes)
+        if lacking := [signal for signal in law.measured if signal not in outputs]:
+            raise InputError(f"{what} measures {lacking[0]!r}, which this vehicle type does not have")
+        return law

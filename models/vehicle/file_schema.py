@@ -9,6 +9,7 @@ from models.suspension.bump_stops import StopSection, places_of
 from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
 from models.suspension.motion_ratio import RatioSection
+from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import ROAD, WEIGHT, WeightSection
@@ -43,7 +44,7 @@ def file_schema(name: str) -> dict[str, Any]:
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},
-        "controllers": TABLE | {"additionalProperties": TABLE},
+        "controllers": TABLE | {"additionalProperties": json_schema(ControllerSection)},
     }
     file = json_schema(VehicleFile)
     file["properties"] |= {"type": {"const": name}, **sections}

@@ -2,19 +2,17 @@
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from models.common.checks import flag_within, is_finite, number_within
+from models.common.checks import is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
 from models.common.schema import HERE, SI, AnyTable, read
-from models.kinds.kind import GRAVITY, LARGEST, SMALLEST, VehicleKind, is_number, nothing
-from models.kinds.signals import HEAVE_LOAD
-from models.laws import GOAL_KEYS
+from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from models.suspension.damper import Damper
     from models.suspension.motion_ratio import RatioTable
     from models.vehicle.limits_and_implementation import Limits
-    from models.vehicle.weighted_errors import WeightedErrors
 
 
 PUSHING = "force"  # value of `actuators` in a controller's section
@@ -167,15 +164,6 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     from models.vehicle.names import named_files
 
     return named_files(roads)
-
-
-def in_si_units(text: str, controllers: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
-    """Returns `[controllers]` with SI numbers instead of numbers with units, such as "2 Hz"."""
-    if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
-        return controllers
-    from models.vehicle.written_units import in_si
-
-    return in_si(controllers, kind)
 
 
 def curves_and_parameters(
@@ -400,89 +388,3 @@ def dampers_of(
 
     forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
     return read_actuators(section, corners, () if forced else limits.of_actuators)
-
-
-def goals_of(
-    where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: VehicleKind
-) -> "Goals | None":
-    """Returns the goals of a controller's section, or None if it has no goals; arguments and errors as for `read_goals`."""
-    if not any(key in entry for key in GOAL_KEYS):
-        return None
-    from models.laws.goals import read_goals
-
-    return read_goals(where, entry, measured, outputs, kind.corners, [parameter.name for parameter in kind.parameters])
-
-
-def without_weighted_errors(entry: Any) -> tuple[Any, dict[str, Any]]:
-    """Returns a controller's section without the entries of `tolerance` that are tables, and these; a wrong section as it is."""
-    tolerance = entry.get("tolerance") if isinstance(entry, Mapping) else None
-    given = {name: one for name, one in tolerance.items() if isinstance(one, Mapping)} if isinstance(tolerance, Mapping) else {}
-    if not isinstance(tolerance, Mapping) or not given:
-        return entry, {}
-    left = {name: one for name, one in tolerance.items() if name not in given}
-    rest = {key: value for key, value in entry.items() if key != "tolerance"}
-    return rest | ({"tolerance": left} if left else {}), given
-
-
-def weighted_errors_of(
-    where: str,
-    given: Mapping[str, Any],
-    parts: Mapping[str, str],
-    measured: Sequence[str],
-    forces: Sequence[str],
-    others: Collection[str],
-) -> "WeightedErrors | None":
-    """Returns the weighted errors of a controller, or None if it has none; arguments and errors as for `read_weighted_errors`.
-
-    Args:
-        parts: parts of the controller's section.
-
-    Raises:
-        InputError: linear analysis does not apply to the controller.
-    """
-    if not given:
-        return None
-    from models.laws.combinations import check_together
-    from models.vehicle.weighted_errors import read_weighted_errors
-
-    check_together(where, {**parts, "weights": "a weight in tolerance"})
-    return read_weighted_errors(where, given, measured, forces, others)
-
-
-def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Returns the size of each weighted load [N, N m] of a controller's section that counts as much as 1 m/s of road, by name.
-
-    It is empty for a section without `loads`.
-
-    Raises:
-        InputError: a load is unknown, or a value is not allowed.
-    """
-    if "loads" not in entry:
-        return ()
-    given = entry["loads"]
-    if not isinstance(given, Mapping) or not given:
-        raise InputError(f"{where} loads = {quoted(given)} is not a table; give {{ load = value that equals 1 m/s of road }}")
-    for name, value in given.items():
-        if name not in loads:
-            raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has the loads {listing(loads)}")
-        unit = "N" if name.startswith(HEAVE_LOAD.name) else "N m"
-        number_within(f"{where} loads: {name}", value, SMALLEST, LARGEST, unit)
-    return tuple((name, float(value)) for name, value in given.items())
-
-
-def read_sampled(where: str, entry: Mapping[str, Any], usual: bool, period: Any) -> bool:
-    """Returns `sampled` of a section: True if designs are for the sampled loop.
-
-    Args:
-        usual: the value if the section has none.
-        period: sample period of `[implementation]`; None without one.
-
-    Raises:
-        InputError: the value is not allowed, or there is no sample period.
-    """
-    value = flag_within(where, entry, "sampled", usual)
-    if value and period is None:
-        from models.vehicle.limits_and_implementation import NO_PERIOD
-
-        raise InputError(f"{where} {NO_PERIOD}")
-    return value

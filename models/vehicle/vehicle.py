@@ -37,7 +37,6 @@ from models.vehicle.sections import (
     curve_notes,
     curves_and_parameters,
     dampers_of,
-    in_si_units,
     known_quantities,
     ratio_doubts,
     read_performance,
@@ -658,8 +657,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     implementation, sampled = section.implementation, section.sampled
     dampers = dampers_of(given.actuators, given.controllers, corners, limits) if given.actuators else {}
     endings = {force: ending for force, ending in corners.items() if force in dampers}
-    entries = in_si_units(text, given.controllers, vehicle_kind)
-    controllers = read_controllers(entries, model, limits, implementation, vehicle_kind, folder, sampled, endings)
+    controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)
     named = {*weights["performance"], *implementation.noise, *implementation.quantisation}
     for signals in (*(entry.named for entry in controllers.values()), *(one.terms for one in weights["sums"])):

@@ -58,5 +58,5 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
 def _norms(vehicle: Vehicle, row: Row) -> list[NormOf]:
     """Returns the norms of `[performance]` in bands that a controller's goals contain."""
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
-    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
+    norms = [goals.minimise, *(bound for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
     return [norm for norm in norms if norm.narrow and norm.signals is None]

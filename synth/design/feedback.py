@@ -14,14 +14,15 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import digits, percent
+from models.common.schema import read
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
-from models.laws.law_structure import LawStructure, read_law_structure
+from models.laws.law_structure import LawStructure, StructureSection
 from models.laws.linear import MOST_STATES, LinearLaw, gain_text, states_text, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -332,7 +333,10 @@ class _Asked:
     def structure(self, section: Mapping[str, Any]) -> LawStructure | None:
         """The structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
         (q, _), m = self.Cy.shape, self.plant.B.shape[1]
-        return read_law_structure(WHERE, section, [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)})
+        measured, corners = [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
+        asked = read(WHERE, StructureSection, section, measured=measured, corners=corners)
+        with error_in(WHERE):
+            return asked.law_structure(measured, corners)
 
     def structured(self, structure: LawStructure, stable: bool) -> FeedbackDesign:
         """A law of a given order or structure, by descent."""

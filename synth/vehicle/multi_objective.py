@@ -89,9 +89,9 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
     """A vehicle on the road of a bound."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
-    (C, D), (Cy, Dyu) = model.rows([bound.signal]), model.rows(entry.measured)
-    of_height = model.Cr[model.outputs.index(bound.signal)]
-    _refuse_pushed(f"[controllers.{entry.name}] over a road", vehicle, (bound.signal, *entry.measured))
+    (C, D), (Cy, Dyu) = model.rows([bound.peak]), model.rows(entry.measured)
+    of_height = model.Cr[model.outputs.index(bound.peak)]
+    _refuse_pushed(f"[controllers.{entry.name}] over a road", vehicle, (bound.peak, *entry.measured))
 
     felt, end = road.from_start, road.duration
     displacement, velocity = felt.displacement, felt.velocity
@@ -115,7 +115,7 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
         kinks,
         road.duration + max(later),
     )
-    name = f"{bound.signal} over {bound.road} <= {bound.at_most:g}"
+    name = f"{bound.peak} over {bound.road} <= {bound.at_most:g}"
     return RoadLoop(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
 
 
@@ -132,18 +132,18 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
     """The signal of a bound for roads of given energy, on the states of what is minimised."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
-    if np.any(model.Cr[model.outputs.index(bound.signal)]):
+    if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
-            f"{where}: {bound.signal!r} contains the road's height, which the energy of its velocity does not bound; give "
+            f"{where}: {bound.energy_peak!r} contains the road's height, which the energy of its velocity does not bound; give "
             "another signal, or its peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
             f"{where} is an energy_peak, which allows no noise, but [controllers.{entry.name}] has noise = true; omit one of them"
         )
-    _refuse_pushed(where, vehicle, (bound.signal, *entry.measured))
-    c, g = measurements(vehicle, [bound.signal], bandwidth)
-    name = f"{bound.signal} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
+    _refuse_pushed(where, vehicle, (bound.energy_peak, *entry.measured))
+    c, g = measurements(vehicle, [bound.energy_peak], bandwidth)
+    name = f"{bound.energy_peak} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
     return BoundedSignal(c[0], g[0], bound.at_most, bound.energy**0.5, name)
 
 
@@ -183,7 +183,7 @@ def goals_design(
     law = static_law(design.gain)
     certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     said = [*remarks(design)]
-    if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
+    if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.narrow for bound in goals.bounds):
         said.append(
             f"the norm has no bound outside the band of the goal, and is {digits(certificate.norm.value)}; to limit it, give "
             "bounds = [{{ norm = ... }}]"

@@ -85,13 +85,11 @@ class Verification:
         norms, signals, peak = iter(problem.norms), itertools.count(), 0
         for bound in goals.bounds:
             if isinstance(bound, NormBound):
-                specifications += self.largest(bound.norm, next(norms), bound.at_most)
+                specifications += self.largest(bound, next(norms), bound.norm)
             elif isinstance(bound, DecayBound):
-                specifications += self.decay(bound.rate)
+                specifications += self.decay(bound.decay)
             elif isinstance(bound, GainBound):
-                specifications.append(
-                    Specification("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most)
-                )
+                specifications.append(Specification("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.gain))
             elif isinstance(bound, EnergyBound):
                 specifications.append(self.energy_peak(bound, next(signals)))
             else:
@@ -213,15 +211,15 @@ class Verification:
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
             except DesignError:  # unstable
                 of.append((np.inf, np.inf))
-        what = f"largest {bound.signal} for roads of {bound.energy:g} m2/s"
-        return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.signal).unit)
+        what = f"largest {bound.energy_peak} for roads of {bound.energy:g} m2/s"
+        return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.energy_peak).unit)
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
         """The largest magnitude of a signal over a road."""
         of = [peak_over_road(member.driven_by[which], self.K) for member in self.asked.members]
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
-        values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.signal).unit
-        return self.most(f"largest {bound.signal} over {bound.road}", values, bound.at_most, unit, at)
+        values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.peak).unit
+        return self.most(f"largest {bound.peak} over {bound.road}", values, bound.at_most, unit, at)
 
 
 def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:

@@ -50,7 +50,7 @@ def test_values(value):
         ('[controllers.own]\nmeasured = ["control_force_rear_left"]\norder = []\n',
          "[controllers.own] order = [] is unknown; give one of full, static"),
         ("[implementation]\nquantisation = { heave_acc = 1.0 }\n",
-         "[implementation] quantisation: unknown signal 'heave_acc'; measurable are heave_acceleration, "),
+         "[implementation] quantisation: unknown signal 'heave_acc'; give one of heave_acceleration, "),
     ],
 )  # fmt: skip
 def test_the_cause_is_named_shortly(new, said):

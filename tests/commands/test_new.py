@@ -51,7 +51,14 @@ def test_a_schema_for_editors(tmp_path, capsys, name):
         assert not schema.is_valid(right | {section: 3}), section
         if section not in ("type", "performance", "controllers"):  # whose keys are names
             assert not schema.is_valid(right | {section: {**right[section], "colour": 1}}), section
-    for documented in (f"[parameters] of a {name}", "[limits]", "[implementation]", "[payload]", "[actuators]"):
+    for documented in (
+        f"[parameters] of a {name}",
+        "[limits]",
+        "[implementation]",
+        "[payload]",
+        "[actuators]",
+        "[controllers.NAME]",
+    ):
         for key, unit, _ in key_sections()[documented]:
             assert f'"{key}": {{' in beside.read_text(encoding="utf-8")
             assert unit in beside.read_text(encoding="utf-8")

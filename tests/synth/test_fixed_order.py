@@ -322,13 +322,10 @@ def test_an_integral_that_nothing_moves_is_said():
 WRONG: tuple[tuple[str, str], ...] = (
     ("order = 300", "order = 300 is unknown; give one of full, static, or a number of states from 0 to 200"),
     ("order = true", "order = True is unknown"),
-    ("pid = 3.0", "pid = 3.0 is not a table"),
     ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd but no filter"),
     ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts only on the derivative"),
-    ("pid = { k = 1.0 }", "pid unknown key 'k'; known keys: filter, kd, ki, kp"),
     ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller has only one law"),
     ("pid = { kp = [1.0, 2.0] }", r"pid.kp = \[1.0, 2.0\] is not allowed; give a number, or a list of 1"),
-    ("pid = { kd = 1.0, filter = 0.0 }", "pid.filter = 0.0 is not allowed"),
     ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" designs the gains, but pid already gives kp'),
     ('structure = "pi"\npid = { filter = 1.0 }', 'structure = "pi" has no derivative'),
 )

@@ -20,7 +20,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.combinations import PID
+from models.laws.goals import PID
 from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, LawStructure, pid_tables
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_tightly

@@ -21,7 +21,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from models.laws.preview import RoadPreview
-from models.laws.python_law import checked_preview
+from models.laws.python_law import AHEAD
 from synth.analysis.certificate import Certificate
 from synth.design.full_order.quadratic import lqr_design, on_rows, state_rows
 from synth.plant.generalized import GeneralizedPlant, measurement_matrices
@@ -72,7 +72,7 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
         >>> f"{design.without:.4f} {design.h2_norm:.4f}"
         '0.1892 0.1184'
     """
-    seconds = checked_preview("a", preview)
+    seconds = AHEAD.number("a preview", preview)
     Cy, _ = measurement_matrices(plant, np.eye(len(plant.A)) if Cy is None else Cy)
     rows = state_rows(plant, Cy)
     lqr = lqr_design(plant, states)

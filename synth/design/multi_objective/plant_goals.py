@@ -11,7 +11,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound, read_goals
+from models.common.schema import read
+from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import GeneralizedPlant
@@ -19,7 +20,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 def norms_of(goals: Goals) -> list[NormOf]:
     """Returns the norm that is minimised, and those that are bounded."""
-    return [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
+    return [goals.minimise, *(bound for bound in goals.bounds if isinstance(bound, NormBound))]
 
 
 def posed_goals(
@@ -34,7 +35,7 @@ def posed_goals(
     """
     m, q = len(forces), len(measured)
     bounds = [
-        NormSpecification(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
+        NormSpecification(i + 1, bound.rates, bound.norm, f"{bound.text} <= {bound.norm:g}")
         for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
     ]
     tolerance = goals.tolerance
@@ -48,9 +49,9 @@ def posed_goals(
         errors,
         np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure),
         norms=tuple(bounds),
-        decay=_strictest([bound.rate for bound in goals.bounds if isinstance(bound, DecayBound)], max),
+        decay=_strictest([bound.decay for bound in goals.bounds if isinstance(bound, DecayBound)], max),
         peaks=tuple(bound.at_most for bound in goals.bounds if isinstance(bound, PeakBound)),
-        gain=_strictest([bound.at_most for bound in goals.bounds if isinstance(bound, GainBound)], min),
+        gain=_strictest([bound.gain for bound in goals.bounds if isinstance(bound, GainBound)], min),
     )
 
 
@@ -85,7 +86,10 @@ def goals_of_plants(
     if section.get("structure") == CORNER:
         raise InputError(f'{where} structure = "{CORNER}" is for vehicles only; give rows of 0 and 1, a row for each force')
     family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
-    goals = read_goals(where, {**section, **family}, measured, outputs, dict.fromkeys(forces, ""))
+    names = {"signals": dict.fromkeys(outputs, "1"), "corners": dict.fromkeys(forces, ""), "parameters": {}}
+    goals = read(where, Goals, {**section, **family}, measured=measured, **names)
+    if goals.tolerance != goals.goals.tolerance:
+        raise InputError(f"{where} tolerance with a weight needs a vehicle; give the largest relative error, as 0.1 for 10 %")
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
         raise InputError(f"{where} bounds: a peak over a road needs a vehicle; bound an energy_peak or a norm")
     norms = norms_of(goals)
@@ -93,7 +97,7 @@ def goals_of_plants(
     members = [
         FamilyMember(
             tuple(MeasuredPlant(_weighing(plant, norm, outputs), Cy, Dyw) for norm in norms),
-            signals=tuple(_signal(where, plant, outputs.index(bound.signal), bound, Dyw) for bound in energies),
+            signals=tuple(_signal(where, plant, outputs.index(bound.energy_peak), bound, Dyw) for bound in energies),
         )
         for plant in plants
     ]
@@ -116,7 +120,8 @@ def _signal(where: str, plant: GeneralizedPlant, row: int, bound: EnergyBound, D
     """The row of z that is bounded for disturbances of given energy."""
     if np.any(plant.Dw[row]) or Dyw is not None or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: energy_peak of {bound.signal} is infinite, as w, noise or samples act on it directly; bound a norm"
+            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, as w, noise or samples act on it directly; bound a "
+            "norm"
         )
-    name = f"{bound.signal} for w of energy {bound.energy:g} <= {bound.at_most:g}"
+    name = f"{bound.energy_peak} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

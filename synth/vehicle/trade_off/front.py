@@ -170,7 +170,7 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
     signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
     if not signals:
         return
-    bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
+    bounds = tuple(PeakBound(signal, np.inf) for signal in signals)
     driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven_by
     for i in marked(len(points)):
         yield i, max(peak_over_road(one, points[i].controller.gain).value for one in driven)
