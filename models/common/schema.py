@@ -195,7 +195,7 @@ class Listed(Key):
         listed = isinstance(value, list | tuple)
         if not listed or not self.least <= len(value) <= (self.most or len(value)):
             wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
-            least = {0: "", 1: " of at least one value"}.get(self.least, f" of at least {self.least} values")
+            least = f" of at least {'one value' if self.least == 1 else f'{self.least} values'}" * bool(self.least)
             most = f", and at most {self.most}" if self.most else ""
             raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
         items = []

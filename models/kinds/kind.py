@@ -133,27 +133,8 @@ def nowhere_else(p: Parameters) -> float:
     return 0.0
 
 
-def anything(p: Parameters) -> None:
-    """Accepts all parameters."""
-
-
-def no_wheel_loads(p: Parameters) -> "tuple[BodyLoad, ...]":
-    """Returns no loads."""
-    return ()
-
-
-def no_loads(p: Parameters) -> Mapping[str, float]:
-    """Returns no loads by name."""
-    return {}
-
-
-def nothing_carried(p: Parameters, way: str, force: float, acceleration: float) -> Mapping[str, float]:
-    """Returns no loads by name."""
-    return {}
-
-
-def no_angles(p: Parameters) -> Mapping[str, Mapping[str, float]]:
-    """Returns no angles."""
+def nothing(*_: Any) -> Any:
+    """Returns no loads, no angles and no objections."""
     return {}
 
 
@@ -308,17 +289,17 @@ class VehicleKind(Checked):
     static_tyre_deflection: Callable[[Parameters], Mapping[str, float]]
     write_mjcf: Callable[[Any, Parameters], None]
     folder: Path = HERE
-    check_together: Callable[[Parameters], None] = anything
+    check_together: Callable[[Parameters], None] = nothing
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     suspended: tuple[Suspension, ...] | None = None
     invariants: tuple[Invariant, ...] = ()
     on_demand: tuple[Signal, ...] = ()
     loads: tuple[BodyLoad, ...] = ()
-    wheel_loads: Callable[[Parameters], tuple[BodyLoad, ...]] = no_wheel_loads
-    carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = nothing_carried
-    angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = no_angles
+    wheel_loads: Callable[[Parameters], tuple[BodyLoad, ...]] = nothing
+    carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = nothing
+    angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = nothing
     motion: Callable[[Parameters], "Motion"] | None = None
-    static_loads: Callable[[Parameters], Mapping[str, float]] = no_loads
+    static_loads: Callable[[Parameters], Mapping[str, float]] = nothing
     ratios: Mapping[str, Any] = field(default_factory=dict)
     people: tuple[str, ...] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)

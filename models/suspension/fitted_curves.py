@@ -37,7 +37,7 @@ class SuspensionCurve:
     @property
     def damps(self) -> bool:
         """True for a damper's curve, over velocity."""
-        return self.over is VELOCITY
+        return self.over == VELOCITY  # also in another process
 
     @property
     def surface(self) -> ForceSurface | None:

@@ -12,7 +12,7 @@ from models.common.checks import is_finite, number_within
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
 from models.common.schema import HERE, SI, AnyTable, read
-from models.kinds.kind import GRAVITY, VehicleKind, is_number, no_loads
+from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
         return {}
     from models.suspension.motion_ratio import ratio_table
 
-    if kind.static_loads is no_loads:
+    if kind.static_loads is nothing:
         raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
     for part in kind.suspensions:
         if part.ratio in names and not part.damping:

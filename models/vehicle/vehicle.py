@@ -72,7 +72,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     Raises:
         InputError: the kind does not exist, or the user's own code is wrong.
     """
-    if name.isidentifier() and (HERE / f"{name}.xml").is_file():
+    if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
@@ -614,9 +614,8 @@ def read_vehicle(file: str | Path) -> Vehicle:
         (504.5, (4, 4))
     """
     path = path_from(file)
-    own = HERE / f"{file}.toml"
-    if not path.is_file() and own.parent == HERE and own.is_file():
-        path = own
+    if str(file) in shipped() and not path.is_file():
+        path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     with error_in(f"vehicle file {path}:"):
         whole, files = whole_text(text, path.parent)
@@ -683,7 +682,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         curves=curves,
         dampers=dampers,
     )
-    _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
+    if dampers or vehicle_kind.ratios:
+        _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
     for entry in controllers.values():
         vehicle.check_entry(entry)
     return vehicle

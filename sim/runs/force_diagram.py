@@ -60,10 +60,8 @@ class Diagram:
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
     """Returns the diagrams of a vehicle's curves, then of its adjustable dampers."""
-    from models.suspension.curve_reading import VELOCITY
-
     adjusted = {vehicle.kind.pushed(adjustable.force) for adjustable in vehicle.adjustable}
-    alone = [fitted for fitted in vehicle.fitted if fitted.over is not VELOCITY or fitted.deflection not in adjusted]
+    alone = [fitted for fitted in vehicle.fitted if not fitted.damps or fitted.deflection not in adjusted]
     of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.adjustable]
     return [*(_of_curve(vehicle, fitted) for fitted in alone), *of_adjustable]
 

@@ -5,6 +5,7 @@
 
 import dataclasses
 import json
+import pickle
 import re
 
 import mujoco
@@ -308,6 +309,14 @@ def test_energy_tells_a_curve_that_nobody_wrote_down():
     for left_out in BOTH:
         other = dataclasses.replace(vehicle, curves={name: one for name, one in vehicle.curves.items() if name != left_out})
         assert not energy(other, runs, 0, ROAD).balances
+
+
+def test_a_curve_is_the_same_in_another_process():
+    """The damper's curve of a vehicle that was pickled is that of a damper, and the spring's that of a spring."""
+    vehicle = with_curves(**BOTH)
+    given = [(one.parameter, one.damps) for one in vehicle.fitted]
+    assert given == [("suspension_stiffness", False), ("suspension_damping", True)]
+    assert [(one.parameter, one.damps) for one in pickle.loads(pickle.dumps(vehicle)).fitted] == given
 
 
 def test_a_parameter_that_changes_scales_its_curve():
