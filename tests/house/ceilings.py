@@ -21,10 +21,10 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2998   2035      0
+what all commands share: files, options, checks, tables of numbers   2998   2038      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5234   1847    264
+vehicle file, types, equations, MJCF                           5215   1847    264
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
@@ -44,7 +44,7 @@ semi-active dampers and laws                                   1307    860    14
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3066   2502     76
+curves of dampers and springs, statistical linearisation       3064   2511     76
     models/suspension/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
     sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
