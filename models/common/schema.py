@@ -25,7 +25,7 @@ from models.common.units import in_unit, setting
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
 MOST_SEED = 2**63 - 1
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # Pydantic's types of errors of unknown keys
-PLACES = re.compile(HERE + r"(?:\.(\w+))?")  # `read` replaces it by section and key; ".NAME" after it is a key below
+PLACES = re.compile(HERE + r"((?:\.\w+)*)")  # `read` replaces it by section and key; ".NAME" after it is a key below
 
 
 class Key:
@@ -430,11 +430,13 @@ def _message(where: str, section: type[Section], given: Any, error: Mapping[str,
     if not isinstance(cause, InputError):
         return f"{_place(where, path)} = {quoted(error['input'])} is not allowed; {error['msg']}"
     text = str(cause) if HERE in str(cause) else f"{HERE} {cause}"
-    return PLACES.sub(lambda found: _place(where, [*path, *filter(None, found.groups())]), text)
+    return PLACES.sub(lambda found: _place(where, [*path, *found[1].split(".")[1:]]), text)
 
 
 def _place(where: str, path: Sequence[str]) -> str:
     """Returns the name of a key as in TOML, its tables in brackets."""
+    if where.startswith(HERE):
+        return ".".join([where, *path])
     if not where.endswith("]"):
         return " ".join(filter(None, (where, ".".join(path))))
     return " ".join([f"{where[:-1]}.{'.'.join(path[:-1])}]" if path[1:] else where, *path[-1:]])

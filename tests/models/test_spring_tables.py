@@ -194,7 +194,7 @@ def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
 )
 def test_a_stop_that_is_none(tmp_path, more, said):
     """Whatever is wrong with a stop's table is one line that says what, and what to give."""
-    with refused(said, "[limits]"):
+    with refused(said, "[limits"):
         read_with(tmp_path, f"[limits]\nstop = {more}", bump=STOP)
 
 
