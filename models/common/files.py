@@ -21,6 +21,9 @@ from typing import Any
 from models.common.errors import InputError
 
 
+UNQUOTED = re.compile(r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)")  # a number with a unit
+
+
 def parse_toml(text: str) -> dict[str, Any]:
     """Returns the tables of a TOML text.
 
@@ -34,6 +37,11 @@ def parse_toml(text: str) -> dict[str, Any]:
         instead = f"; write {comma[1]}.{comma[2]} for {comma[1]},{comma[2]}" if comma else ""
         if spaced := re.search(r"^ *\[?([A-Za-z][\w.-]*(?: +[\w.-]+)+) *[]=]", text, re.MULTILINE):
             instead = f"; write {re.sub(' +', '_', spaced[1])} for {spaced[1]}"
+        elif re.search("Cannot (overwrite|declare)", str(error)):
+            instead = "; a key or a section is there twice, so omit one of the two"
+        elif line := re.search(r"at line (\d+)", str(error)):
+            unit = UNQUOTED.search(text.splitlines()[int(line[1]) - 1])
+            instead += f'; write a number with its unit in quotes, as in "{unit[1].strip()}"' if unit else ""
         raise InputError(f"this is not valid TOML: {error}{instead}") from error
 
 

@@ -70,9 +70,9 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     number, written = match.groups()
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
-        expected = "a pure number is expected; omit the unit" if pure else f"a unit of {unit} is expected"
+        expected = "a pure number is expected; omit unit and quotes" if pure else f"a unit of {unit} is expected"
         force = POUND.sub("lbf", written)  # a pound is a mass
-        example = f'"{number} {force}"' if not pure and unit_size(force, unit) else _example(unit)
+        example = number if pure else f'"{number} {force}"' if unit_size(force, unit) else _example(unit)
         unknown = "unknown " * (size is None)
         raise InputError(f"{said} has the {unknown}unit {quoted(written)}, but {expected}, as in {example}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
@@ -95,7 +95,8 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
         return value
     number = quantity(value, unit, what)
     if match and not match[2]:
-        raise InputError(f"{what} = {quoted(value)} has no unit; add the unit, as in {_example(unit)}, or omit the quotes")
+        add = "" if unit in ("", "-", "1") else f"add the unit, as in {_example(unit)}, or "
+        raise InputError(f"{what} = {quoted(value)} has no unit; {add}omit the quotes")
     return number
 
 

@@ -282,6 +282,8 @@ def read_controllers(
         if name in controllers:
             raise InputError(f"{where} appears twice, in two spellings that look the same; rename one of the two")
         check_name(where, name, RESERVED)
+        if not isinstance(given, Mapping) and written in keys(ControllerSection):
+            raise InputError(f"[controllers] {written} is a key of a single controller; write it in a section [controllers.NAME]")
         parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
         check_together(where, parts)
         asked = read(where, ControllerSection, given, **facts)

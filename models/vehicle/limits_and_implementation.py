@@ -1,6 +1,7 @@
 """`[limits]` and `[implementation]` of a vehicle file, the properties of a real car beyond linear analysis; off by default."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -290,6 +291,8 @@ class ImplementationSection(Implementation):
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the section with a delay in samples instead of a time."""
         delay, period = given.get("delay"), given.get("sample_period")
+        if isinstance(delay, str) and (count := re.fullmatch(r"\s*([\d.]+) *samples?\s*", delay)):
+            return {**given, "delay": float(count[1])}
         seconds = in_unit(delay, "s", "delay")
         if seconds is delay:
             return given

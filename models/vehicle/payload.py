@@ -52,7 +52,9 @@ def laden(
     Raises:
         InputError: a key or value is not allowed, or the vehicle cannot carry it so.
     """
-    several = bool(section) and all(isinstance(one, Mapping) for one in section.values())
+    several = any(isinstance(one, Mapping) for one in section.values())
+    if several and (own := [key for key, one in section.items() if not isinstance(one, Mapping)]):
+        raise InputError(f"[payload] has {own[0]}, and sections of other masses; write {own[0]} in a section [payload.NAME], too")
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
     model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
     heavier, laden_kind = dict(parameters), kind

@@ -100,6 +100,13 @@ class VehicleFile(Section):
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
 
+    @classmethod
+    def prepared(cls, given: Entries) -> Entries:
+        """Returns the file, which has a type."""
+        if "type" not in given:
+            raise InputError(f'type is missing; write type = "{kinds()[-1]}" above the first section; known: {listing(kinds())}')
+        return given
+
 
 SECTIONS = tuple(keys(VehicleFile))
 PERSON = (

@@ -14,11 +14,15 @@ from models.common.arrays import Array
 from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, path_from, read_text
+from models.common.checks import HERE
 from models.common.schema import MOST_SEED, SI, AnyTable, Integer, Key, Listed, Section, Text, read
 from models.roads.choice import RoadChoice, choose_road
+from models.roads.description import read_road
+from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface
 from models.roads.profile import Profile
 from models.roads.rig import Rig
+from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.samples import Values, read_samples
@@ -48,7 +52,9 @@ class RoadText(Key):
 
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
-        if isinstance(value, Mapping) and isinstance(value.get("type"), str):
+        if isinstance(value, Mapping):
+            if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
+                read_road(HERE, value)
             value = ":".join([value["type"], *(f"{name}={one}" for name, one in value.items() if name != "type")])
         return Text().read(value, context)
 
