@@ -33,7 +33,8 @@ def read_road(where: str, table: Mapping[str, Any]) -> Described:
     """
     kind = table.get("type")
     if not isinstance(kind, str) or kind not in ROADS:
-        raise InputError(f"{where} type = {quoted(kind)} is unknown; known types are {listing(ROADS)}")
+        wrong = "has no type; give one of" if kind is None else f"type = {quoted(kind)} is unknown; known types are"
+        raise InputError(f"{where} {wrong} {listing(ROADS)}")
     fields = {name: value for name, value in table.items() if name != "type"}
     return read(where, ROADS[kind], fields | ({"name": kind} if kind in MULTISINES else {}))
 

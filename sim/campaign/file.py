@@ -25,7 +25,7 @@ from models.roads.rig import Rig
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign import MOST_RUNS
-from sim.campaign.samples import Values, read_samples
+from sim.campaign.samples import Values, read_samples, with_sample
 from sim.runs.run import sample_times
 
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
@@ -180,6 +180,8 @@ def _parse(text: str, folder: Path) -> Campaign:
         built = remarked(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
+    for name, vehicle in vehicles.items():
+        remarked(with_sample(vehicle, campaign.samples[name][0]))  # a distribution in another unit is wrong in its first sample, too
     return campaign
 
 

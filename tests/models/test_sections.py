@@ -24,7 +24,7 @@ from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
-from models.vehicle.vehicle import VehicleFile, kind, kinds, read_vehicle
+from models.vehicle.vehicle import VehicleFile, kind, kinds, parse_vehicle, read_vehicle
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber
@@ -146,3 +146,33 @@ def test_a_parameter(name):
             allowed = rf"give a number from|but a (pure number|unit of {one.unit}) is expected"
             with pytest.raises(InputError, match=rf"^{one.name} = .*({allowed})"):
                 known.check_each({**right, one.name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("[limits]\nactuator_force = 3.5 kN # so", 'write a number with its unit in quotes, as in "3.5 kN"'),
+        ("[limits]\nsuspension_stroke = { bump = 3 mm, rebound = 4 }", 'as in "3 mm"'),
+        ("[limits]\nactuator_force = 1\nactuator_force = 2", "a key or a section is there twice, so omit one of the two"),
+        ('[implementation]\nsample_period = "5 ms"\ndelay = "2 sample periods"', "unit of s is expected"),
+        ("[payload]\nmass = 1\n[payload.driver]\nmass = 80", "write mass in a section [payload.NAME], too"),
+        ('[controllers]\nmeasured = ["sprung_velocity"]', "write it in a section [controllers.NAME]"),
+        ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8 mm" }]', "omit unit and quotes, as in 8"),
+        ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8" }]', "has no unit; omit the quotes"),
+        ("[limits]\nsuspension_stroke = 0.1\nstop = { rebound = { note = 3 } }", "[limits.stop.rebound] note = 3 is not"),
+    ],
+)
+def test_advice(more, said):
+    """What users often write instead of the right thing has the right thing in its message."""
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    with pytest.raises(InputError) as error:
+        parse_vehicle(text + more)
+    assert said in str(error.value)
+
+
+def test_a_delay_in_samples(paper):
+    """A delay may have its unit as a word, and a file without a type is told the types."""
+    text = '\n[implementation]\nsample_period = "5 ms"\ndelay = "2 samples"\n'
+    assert parse_vehicle(paper.text + text).implementation.delay == 2
+    with pytest.raises(InputError, match='type is missing; write type = "quarter_car" above .*; known: full_car, half_car'):
+        parse_vehicle(paper.text.replace('type = "quarter_car"', ""))

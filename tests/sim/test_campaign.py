@@ -207,6 +207,13 @@ def test_adjustable_dampers_are_sampled(tmp_path):
 
 
 @pytest.mark.attack
+def test_samples_in_another_unit_are_remarked(tmp_path, capsys):
+    """Factors without `relative = true` make a car of a kilogram, which the plausibility remark of a vehicle file finds, too."""
+    (tmp_path / "campaign.toml").write_text(SMALL.replace(", relative = true", ""), encoding="utf-8")
+    read_campaign(tmp_path / "campaign.toml")
+    assert "natural frequency is about 16 Hz; check that sprung_mass is in kg" in capsys.readouterr().err
+
+
 def test_a_short_road_has_no_iri(tmp_path):
     """For a way shorter than 11 m there is no IRI; of a car's two tracks there are four, which are of no vehicle with one."""
     text = (
