@@ -253,14 +253,12 @@ def test_full_car_on_equal_tracks_is_a_half_car():
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("half_car", "axle_distance_front = 1.3 ", "axle_distance_front = -1.3 ", ["axle_distance_front = -1.3", "from 1e-06"]),
         ("half_car", "pitch_inertia = 1222.0", "pitch_inertia = 122200.0", ["pitch_inertia", "a body of 690 kg", "at most"]),
         ("full_car", "roll_inertia = 460.0", "roll_inertia = 46000.0", ["roll_inertia", "track of 1.51 m"]),
         ("half_car", '"pitch_rate"]', '"roll_rate"]', ["'roll_rate'", "pitch_rate"]),
         ("full_car", "track = 1.51", "track_front = 1.51", ["distance of left and right wheels is missing", "or track_rear"]),
         ("full_car", '"roll_rate"]', '"tyre_deflection_front_left"]', ["'tyre_deflection_front_left'", "road's height"]),
         ("half_car", "[performance]", "anti_roll_stiffness_front = 1e4\n[performance]", ["only heaves", "use a full_car"]),
-        ("full_car", "[performance]", "anti_roll_stiffness_front = -1.0\n[performance]", ["= -1.0", "from 0 to", "N m/rad"]),
         ("full_car", "[performance]", "anti_roll_stiffness = 1e4\n[performance]", ["unknown parameter", "stiffness_front"]),
     ],
 )

@@ -457,7 +457,6 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
     assert {"deflection": table.x.tolist(), "ratio": table.ratio.tolist()} == TABLE
     good = text + "{ deflection = [-0.1, 0.1], ratio = [0.7, 0.5] }\n"
     for wrong, words in (
-        (shipped.replace("[parameters]", "[parameters]\nmotion_ratio = 60.0", 1), "motion_ratio = 60"),
         (
             f'{good}[actuators]\nkind = "damper"\nc_min = 1.0\nc_max = 5e3\n[controllers.own]\nmeasured = ["control_force"]\n'
             "gain = [[0.1]]\n",

@@ -437,11 +437,6 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
         ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; needed: deflection"),
         ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
-        (
-            "time,force [N],travel [mm]",
-            "tfx",
-            "column 1, 'time', has no unit (allowed: ms, s); write the heading time [s] or time_s",
-        ),
         ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
         ("t [s],force [N],travel [mm]", "ffx", "give a log with an even sample rate"),

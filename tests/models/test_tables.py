@@ -91,6 +91,8 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
         ("0,1\n1,2\n", "no line above line 1 has headings for its 2 column(s)"),
         ("time,heave\ns,furlong\n0,1\n1,2\n", "column 1 is called 's', which is not one of heave"),
         ("time [s],heave [N]\nms,N\n0,1\n1,2\n", "the headings 'time [s]' and 'ms' of column 1 contradict each other"),
+        ("time [s],heave [N]\n0,1\n1,nan\n", "line 3, column 2: 'nan' is not a finite number"),
+        ("time [s],heave [N]\n# nothing\n", "no line of numbers; give"),
         ("time [s],heave [N]\n0,1\n1\n", "line 3 has 1 column(s), but line 2 has 2"),
     ],
 )

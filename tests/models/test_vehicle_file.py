@@ -26,19 +26,7 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 CHANGES = [
     ("a decimal comma", MASS, "sprung_mass = 504,5", ["not valid TOML", "write 504.5 for 504,5"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not valid TOML", "line 6"]),
-    (
-        "unknown section",
-        "[performance]",
-        "[comfort]",
-        ["'comfort'", "controllers, curves, implementation, limits, parameters, payload, performance, type"],
-    ),
-    ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
-    ("no type", 'type = "quarter_car"', "", ["type is missing", "`roadproof new`"]),
-    ("type is a number", '"quarter_car"', "4", ["type = 4", 'type = "quarter_car"']),
-    ("unknown parameter", MASS, f"{MASS}\nwheelbase = 2.5", ["'wheelbase'", "sprung_mass, suspension_damping"]),
     ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
-    ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 99999", "from 1e-06 to 1e+12 kg"]),
-    ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
     ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
     ("unknown weight", WEIGHT, f"{WEIGHT}\njerk = 1.0", ["[performance]", "'jerk'", "sprung_acceleration"]),
     ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
@@ -85,10 +73,7 @@ ADDED = {
         (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "cannot be combined with sampled = true: a given law is not designed"),
     ],
     ("quarter_car", BOTH): [
-        (f"{LAW}\nanti_windup = -1.0\n[limits]\nactuator_force = 40.0", "anti_windup = -1.0", "1e+06 1/s"),
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
-        ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
-        ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
         ('loads = { heave_load = 1e3 }\ndesign = "h2"', '"h2" cannot be combined with loads: ', 'choose design = "h2"'),
         ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds cannot be combined with loads: ", "or loads"),
     ],
@@ -101,7 +86,7 @@ ADDED = {
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, but ", "gives no sample period"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
-        ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
+        ('sample_period = 0.005\ndelay = "0.5"', "delay = '0.5' has no unit; add the unit, as in \"1.5 s\", or omit the quotes"),
     ],
     ("quarter_car_semi_active", VELOCITY): [
         ("mix = 0.5", "mix needs a semi-active law; give it"),
@@ -124,10 +109,6 @@ ADDED = {
         ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
         ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
-        (
-            'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
-            "suspension_stroke = '0.1' has no unit; add the unit, as in \"1.5 m\", or omit the quotes",
-        ),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command', but no actuator_force; give actuator_force [N]"),
     ],
@@ -192,31 +173,11 @@ def test_what_is_added_wrongly_is_named(kind, lines, said):
         parse_vehicle(f"{read_vehicle(kind).text}\n{lines}\n")
 
 
-@pytest.mark.parametrize(
-    ("section", "said"),
-    [
-        ("[performance]\n", "has no weight above 0"),
-        ("[performance]\nsprung_acceleration = 0.0\n", "has no weight above 0"),
-        ("performance = 1.0\n", "write its name in single brackets"),
-        ("", "performance is missing"),
-    ],
-)
-def test_a_design_needs_weights(text, section, said):
-    """A `[performance]` that is empty, all zero, no section or not there is refused."""
-    head = text.split("# Weights")[0]
-    if not section.startswith("["):
-        head, section = section + head, ""
-    with pytest.raises(InputError, match=said.replace("[", r"\[")):
-        parse_vehicle(head + section)
-
-
-def test_controllers_are_sections(text):
-    """A controller that is no section is refused, and so is a list of them."""
-    head = text.split("[controllers.I]")[0]
-    with pytest.raises(InputError, match=r"\[controllers.mine\] = 3 is not a section"):
-        parse_vehicle(f"{head}[controllers]\nmine = 3\n")
-    with pytest.raises(InputError, match=r"controllers = .* single brackets"):
-        parse_vehicle(f'{head}[[controllers]]\nname = "mine"\n')
+def test_a_design_needs_weights(text):
+    """A `[performance]` that is empty or all zero is refused."""
+    for weight in ("", "sprung_acceleration = 0.0\n"):
+        with refused("has no weight above 0"):
+            parse_vehicle(f"{text.split('# Weights')[0]}[performance]\n{weight}")
 
 
 def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
@@ -279,16 +240,11 @@ def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
     ("suspension_damping_rear", 1.0, "suspension_damping_front is 1000 times suspension_damping_rear; are both in N s/m?"),
     ("unsprung_mass_front", 0.04, "unsprung_mass_rear is 1125 times unsprung_mass_front; are both in kg?"),
     ("suspension_damping_rear", 0.0, None),  # a damper may be absent
-    ("axle_distance_front", 1300, "to 50 m"),
 ])  # fmt: skip
 def test_one_axle_in_another_unit_is_asked_about(name, value, said):
-    """A number of one axle in another unit than the other's is asked about, in one question; a distance in mm is refused."""
+    """A number of one axle in another unit than the other's is asked about, in one question."""
     text = re.sub(rf"^{name} = .*$", f"{name} = {value}", read_vehicle("half_car").text, flags=re.MULTILINE)
-    if name == "axle_distance_front":
-        with refused("axle_distance_front = 1300 is not allowed; give a number from", said):
-            parse_vehicle(text)
-    else:
-        assert parse_vehicle(text).doubts == ([said] if said else [])
+    assert parse_vehicle(text).doubts == ([said] if said else [])
 
 
 def test_a_map_asks_about_units_too(tmp_path, capsys):

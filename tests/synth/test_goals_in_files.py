@@ -44,12 +44,8 @@ def test_a_family_from_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("sprung_mass\n", "no line of numbers; give a .toml file"),
-        ("sprung_mass\n1,2\n", "no line above line 2 has headings for its 2 column(s); give"),
-        ("sprung_mass\n1\nheavy\n", "line 3, column 1: 'heavy' is not a finite number"),
         ("colour\n1.0\n", "family[0]: unknown parameter 'colour'"),
         ("sprung_mass\n" + "1" * 140_000, "is not a finite number; give a .toml file"),
-        ("sprung_mass,tyre_stiffness, sprung_mass\n1,1,2\n", "two columns are called 'sprung_mass'; remove one of these columns"),
     ],
 )
 def test_a_wrong_file_of_a_family(tmp_path, content, said):
