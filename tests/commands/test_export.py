@@ -346,11 +346,9 @@ def test_a_proved_peak_is_a_range(capsys, tmp_path):
 
 
 def test_nothing_is_overwritten(exported):
-    """A folder that holds something is left as it is; --numbers is of --export alone."""
+    """A folder that holds something is left as it is."""
     with pytest.raises(InputError, match="exists and is not empty"):
         main(["--controller", "I", "--export", str(exported)])
-    with pytest.raises(InputError, match="--numbers is for exported code"):
-        main(["--controller", "I", "--numbers", "float"])
 
 
 @pytest.mark.extra

@@ -23,7 +23,7 @@ from sim.studies.ride.metrics import Meter, measure
 from sim.studies.stability.robustness import _with_factors, read_variations, robustness
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
-from tests.support.commands import attacks, main_of, prose
+from tests.support.commands import attacks, main_of, prose, refused
 
 CORNERS = {
     "quarter_car": ("",),
@@ -465,9 +465,8 @@ def test_ratios_that_are_not_allowed_are_refused(tmp_path):
         (f"{good}[payload]\nmass = 5e3\n", "the equilibrium moves beyond the table"),
         (text + "{ deflection = [-0.1, 0.1], ratio = [0.3, 2.9] }\n", "changes so fast with travel that the preload"),
     ):
-        with pytest.raises(InputError, match=words) as refused:
+        with refused(words):
             parse_vehicle(wrong)
-        assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("kind", CORNERS)

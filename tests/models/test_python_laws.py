@@ -420,7 +420,6 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "mi\\nne.py:step"', "is not a law in Python"),
         ('law = "mi\\u2028ne.py:step"', "is not a law in Python"),
         ('law = "other.py:step"', "there is no such file"),
-        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain cannot be combined with law: a controller has either one given law"),
         ("preview = 1.0", "preview needs a law in Python or design"),
     ],
 )

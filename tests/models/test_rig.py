@@ -194,29 +194,6 @@ def test_bad_files(text, said, tmp_path, capsys):
         main(["--vehicle", "half_car", "--controller", "passive", "--road", f"rig:file={tmp_path}/drive.csv", "--no-logs"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--road", "rig"], "a rig needs a drive file"),
-        (["--road", "rig:depth=2"], "a rig needs a drive file"),
-        (["--road", "rig:file=drive.rsp"], "RPC III files (.rsp, .drv) cannot be read, so export their channels as text"),
-        (["--road", "rig:file=none.csv"], "drive file none.csv: there is no such file"),
-        (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not a setting NAME=VALUE; NAME must be one of"),
-        (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, but height_unit = m is given"),
-        (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a test rig, on which"),
-        (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed selects a random road"),
-        (["--road", "DRIVE"], "for heights of a rig's posts over time, give rig:file="),
-    ],
-)
-def test_bad_options(arguments, said, tmp_path):
-    """A rig that is asked for in other words than there are is refused in one line."""
-    (tmp_path / "drive.csv").write_text(GOOD)
-    arguments = [one.replace("DRIVE", str(tmp_path / "drive.csv")) for one in arguments]
-    with pytest.raises(InputError) as error:
-        main(["--vehicle", "half_car", "--controller", "passive", *arguments, "--no-logs"])
-    assert said in str(error.value)
-
-
 def test_a_wheel_without_a_post():
     """A vehicle whose wheels have no posts is not driven."""
     with pytest.raises(InputError, match="no column is called rear_left"):

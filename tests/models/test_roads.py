@@ -215,10 +215,8 @@ def test_bad_opencrg(tmp_path, old, new, said):
     assert changed != content, "the test changes what is there"
     choose_road("road.crg", tmp_path)
     path.write_text(changed)
-    with pytest.raises(InputError) as error:
+    with refused(f"road file {path}: this is not an OpenCRG file {said}"):
         choose_road("road.crg", tmp_path)
-    assert str(error.value).startswith(f"road file {path}: this is not an OpenCRG file {said}")
-    assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.extra
@@ -539,15 +537,6 @@ def test_bad_profiles(tmp_path, text, said):
     path = tmp_path / "road.csv"
     path.write_text(text)
     with refused(said, str(path)):
-        choose_road(str(path))
-
-
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
-def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
-    """A file that is no UTF-8 is refused, with what to do about it."""
-    path = tmp_path / "road.csv"
-    path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
-    with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
         choose_road(str(path))
 
 

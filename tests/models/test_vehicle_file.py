@@ -24,7 +24,6 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 
 # (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
 CHANGES = [
-    ("a decimal comma", MASS, "sprung_mass = 504,5", ["not valid TOML", "write 504.5 for 504,5"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not valid TOML", "line 6"]),
     ("missing parameter", MASS, "", ["'sprung_mass' [kg]", "missing"]),
     ("a tyre that is flat at rest", "= 252000.0", "= 1e3", ["tyre_deflection", "5.56 m", f"at most {MOST_SQUEEZE} m"]),
@@ -32,7 +31,6 @@ CHANGES = [
     ("weight of the road", WEIGHT, f"{WEIGHT}\nroad_velocity = 1.0", ["[performance]", "'road_velocity'"]),
     ("weight in words", WEIGHT, 'sprung_acceleration = "much"', ["sprung_acceleration = 'much'", "1e-12 to 1e+12"]),
     ("half a law", MINE, f"{MINE}\nA = [[1.0]]", ["[controllers.I] B, C, D is missing", "x_c' = A x_c + B y"]),
-    ("a law and a gain", MINE, f"{MINE}\nA = [[1.0]]\ngain = [[1.0, 1.0]]", ["gain cannot be combined with A: a controller"]),
     (
         "a law that does not fit",
         MINE,
@@ -49,7 +47,6 @@ CHANGES = [
     ("gain of two rows", MINE, f"{MINE}\ngain = [[1.0, 2.0], [3.0]]", ["2 row(s) of 1 or 2 number(s)", "1 row(s)"]),
     ("gain that overflows", MINE, f"{MINE}\ngain = [[1e300, 1.0]]", ["gain = [[1e+300, 1.0]]", "at most 1e+12"]),
     ("a taken name", "[controllers.I]", "[controllers.passive]", ["[controllers.passive]", "rename"]),
-    ("no name", "[controllers.I]", '[controllers.""]', ["name", "letters, digits"]),
     ("a name too long for a file", "[controllers.I]", f"[controllers.{'I' * 70}]", ["at most 60"]),
 ]
 
@@ -60,25 +57,14 @@ BOTH = f"[controllers.mine]\n{MINE}"
 # By vehicle, and what begins the lines that are added to its file: the rest of them, what the message says.
 ADDED = {
     ("quarter_car", VELOCITY): [
-        ("stable = true", "the default two-step design cannot be combined with stable = true: stable"),
         ('order = "half"', "order = 'half' is unknown; give one of full"),
-        ('order = "full"\ngain = [[1.0]]', 'gain cannot be combined with order = "full": a controller has either'),
         ('design = "lqr"', 'design = "lqr" uses the full state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "static gain has no states that can wind up"),
-        ("sampled = true", "mine] has sampled = true, but ", "no sample period"),
-        (
-            f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
-            *('"lqg" cannot be combined with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "two-step"),
-        ),
-        (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "cannot be combined with sampled = true: a given law is not designed"),
     ],
     ("quarter_car", BOTH): [
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
-        ('loads = { heave_load = 1e3 }\ndesign = "h2"', '"h2" cannot be combined with loads: ', 'choose design = "h2"'),
-        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds cannot be combined with loads: ", "or loads"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active cannot be combined with anti_windup: such a law"),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
         ('semi_active = "skyhook_modal"', "needs a body that pitches or rolls"),
@@ -192,22 +178,15 @@ def test_a_file_is_read_by_path_and_by_name(paper, tmp_path, monkeypatch):
     ("content", "said"),
     [
         (None, "there is no such file"),
-        ("folder", "is a folder"),
-        (bytes(range(256)), "not a text file in UTF-8"),
-        (b"", "type is missing"),
-        (
-            b'type = "x"\n[parameters]',
-            "performance is missing; give performance: weights of signals, as `roadproof new` writes",
-        ),
+        ("", "type is missing"),
+        ('type = "x"\n[parameters]', "performance is missing; give performance: weights of signals, as `roadproof new` writes"),
     ],
 )
-def test_a_file_that_cannot_be_read(tmp_path, content, said):
-    """A file that is not there, a folder, a binary and an empty file are refused by name in one line."""
+def test_a_file_without_a_vehicle(tmp_path, content, said):
+    """A file that is not there or lacks sections is refused by name in one line."""
     path = tmp_path / "mine.toml"
-    if content == "folder":
-        path.mkdir()
-    elif content is not None:
-        path.write_bytes(content)
+    if content is not None:
+        path.write_text(content)
     with refused(str(path), said):
         read_vehicle(path)
 

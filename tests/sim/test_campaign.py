@@ -496,7 +496,6 @@ def test_a_cluster_that_is_not_there_is_said_at_once(tmp_path, address, words):
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n'
     )
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words):
         main([str(tmp_path / "campaign.toml"), "--ray", address])
-    assert "\n" not in str(caught.value)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]

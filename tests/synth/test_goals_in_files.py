@@ -16,7 +16,6 @@ from synth.analysis.norm import gain_at
 from synth.analysis.specification import Specification
 from synth.command.responses import responses_figure
 from synth.command.table import Row
-from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from tests.support import shared
 from tests.support.commands import main_of, refused
@@ -52,10 +51,8 @@ def test_a_wrong_file_of_a_family(tmp_path, content, said):
     """One line that names the controller, and what of the file is wrong."""
     (tmp_path / "fleet.csv").write_text(content)
     (tmp_path / "car.toml").write_text(vehicle_with(f"measured = {TWO}").text + 'family = "fleet.csv"\n')
-    with pytest.raises(InputError) as error:
+    with refused("[controllers.goal]", said):
         read_vehicle(tmp_path / "car.toml")
-    assert said in str(error.value)
-    assert "[controllers.goal]" in str(error.value)
 
 
 def test_a_given_gain_is_judged_by_its_goals(tmp_path, capsys):
@@ -89,7 +86,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
     ("section", "said"),
     [
         ("minimise = { band = [8.0, 4.0] }", "band = [8.0, 4.0] is not allowed"),
-        ("minimise = { band = [4.0, inf] }", "minimise band = [4.0, inf] is not allowed; give the lowest and highest"),
+        ("minimise = { band = [4.0, inf] }", "minimise] band = [4.0, inf] is not allowed; give the lowest and highest"),
         ('minimise = { signals = "speed" }', "unknown signal 'speed'"),
         ('minimise = { over = "regret" }', "which needs a family"),
         ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is not allowed; give a bound, one of"),
@@ -98,7 +95,6 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("family = [{ sprung_mass = 0 }]", "is not allowed"),
         ("family = [{ colour = 2 }]", "family[0]: unknown parameter 'colour'"),
         ("structure = [[0, 0]]", "has only zeros"),
-        ('minimise = {}\norder = "full"', 'order = "full" cannot be combined with minimise: goals are available only'),
     ],
 )
 def test_wrong_goals_are_refused_in_one_line(section, said):
@@ -139,19 +135,16 @@ def test_a_bound_that_cannot_be_is_named_with_its_file(bound, said, tmp_path):
     for gain in ("", "gain = [[1e4, -2e3]]"):
         goal = f"measured = {TWO}\n{gain}\nbounds = [{{ decay = 0.1 }}, {{ {bound}, at_most = 0.1 }}]"
         path.write_text(vehicle_with(goal).text)
-        with pytest.raises(InputError) as error:
+        with refused(match=re.escape(f"vehicle file {path}: [controllers.goal] {said}")):
             Designer(read_vehicle(path)).design("goal")
-        assert str(error.value).startswith(f"vehicle file {path}: [controllers.goal] {said}")
 
 
 def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
-    """`--refine` would leave its goals: it is neither advised nor done; nor is there an L to be zero."""
+    """`--refine` would leave its goals: it is not advised; nor is there an L to be zero."""
     path = tmp_path / "car.toml"
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "-v"]) == 0
     assert "--refine" not in capsys.readouterr().out
-    with pytest.raises(DesignError, match="bounds cannot be combined with --refine: only static gains of the smallest norm"):
-        Designer(read_vehicle(path)).refine("goal")
     with pytest.raises(InputError, match="two-step design has a matrix L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
 

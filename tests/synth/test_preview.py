@@ -317,7 +317,6 @@ def test_a_forged_preview_is_found(log, forged, said):
     [
         ('design = "preview"', "needs the time for which it knows the road ahead; give it in seconds, as in preview = 0.5"),
         ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" uses the full state'),
-        ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: this design uses the full state"),
         ('design = "lqr"\npreview = 0.5', "preview needs a law in Python or design"),
     ],
 )
