@@ -64,11 +64,7 @@ AS_BUILT = [*zip(itertools.cycle(QUARTER), REALITIES, strict=False)]
 
 
 @pytest.mark.parametrize(
-    ("text", "reality"),
-    in_the_suite(
-        [(QUARTER[1], "ideal"), *AS_BUILT[-2:]],
-        [*AS_BUILT, (QUARTER[1], "ideal")],
-    ),
+    ("text", "reality"), in_the_suite([(QUARTER[1], "ideal"), *AS_BUILT[-2:]], [*AS_BUILT, (QUARTER[1], "ideal")])
 )
 def test_exact_in_the_quarter_car(text, reality):
     """However its controller is built, MuJoCo follows the exact sampled response to RK4's own error; no geometry."""

@@ -443,8 +443,6 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
     without = parse_vehicle(text.replace("[performance]", "[performance]\nsprung_displacement = 2.0"))
     with pytest.raises(InputError, match="sprung_displacement has no norm: it is a height over the datum of a flat road"):
         Designer(without).design("I")
-    with refused("'sprung_displacement' is a height above a flat datum, which no sensor on a car"):
-        parse_vehicle(text + '\n[controllers.rig]\nmeasured = ["sprung_displacement"]\n')
 
 
 # --- what is refused, and said ---------------------------------------------------------------------------------------------

@@ -176,8 +176,6 @@ def test_force_actuators_beside_dampers():
     assert both.for_all(["passive", "leaky"]).dampers == {}
     with refused("leaky drive force actuators", "sky semi-active dampers"):
         both.for_all(["leaky", "sky"])
-    with refused("[limits] actuator_force is for force actuators"):
-        parse_vehicle(CORNER + DAMPERS)
 
 
 def test_a_payload_has_inertia():
@@ -211,20 +209,6 @@ def test_a_payload_has_inertia():
     assert corner.limits.stops(corner.kind.suspensions)["suspension_deflection"].bump.stroke == pytest.approx(
         0.07 - 60 * GRAVITY / 22000, rel=1e-12
     )  # rounding
-
-
-@pytest.mark.parametrize(
-    ("payload", "words"),
-    [
-        ("mass = 60.0\nx = 0.5", "does not pitch"),
-        ("mass = 60.0\ny = 0.5", "--load payload:y="),
-        ("mass = 200.0", "beyond the bump stroke"),
-    ],
-)
-def test_a_payload_that_is_not_allowed(payload, words):
-    """A payload that the vehicle cannot carry so, or a wrong key, is one line."""
-    with refused("[payload]", words):
-        parse_vehicle(f"{CORNER}[payload]\n{payload}\n")
 
 
 def test_the_same_interval_in_any_company(files, tmp_path, capsys):
