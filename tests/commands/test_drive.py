@@ -6,7 +6,6 @@ import json
 import pandas
 import pytest
 
-from models.common.errors import InputError
 from models.common.printed import percent
 from models.common.table import find_table
 from models.common.units import TIME
@@ -65,8 +64,6 @@ def test_csv(command, tmp_path, capsys):
             heading = f"{signal.name} {run.controller.name} {source} [{signal.unit}]"
             column = [one.text for one in headings].index(heading)
             assert frame[heading].tolist() == numbers[:, column].tolist() == response[signal.name].tolist()
-    with pytest.raises(InputError, match="a table is written as CSV"):
-        main_of(f"sim.{command}")(["--controller", "I", "--no-logs", "--csv", str(tmp_path / "signals.txt")])
 
 
 def test_seed(capsys):

@@ -274,17 +274,9 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
-        (
-            "",
-            [*WHOLE, "--range", "sprung_velocity=1e300"],
-            "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE",
-        ),
+        ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE"),
         ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "is given twice; give it once"),
-        (
-            "",
-            [*WHOLE, "--range", "sprung_velocity=fast"],
-            "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE",
-        ),
+        ("", [*WHOLE, "--range", "sprung_velocity=fast"], "--range sprung_velocity=fast: give SIGNAL=MAGNITUDE"),
         ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is for integer code"),
         (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "law does not decay"),
     ],
@@ -346,11 +338,9 @@ def test_a_proved_peak_is_a_range(capsys, tmp_path):
 
 
 def test_nothing_is_overwritten(exported):
-    """A folder that holds something is left as it is; --numbers is of --export alone."""
+    """A folder that holds something is left as it is."""
     with pytest.raises(InputError, match="exists and is not empty"):
         main(["--controller", "I", "--export", str(exported)])
-    with pytest.raises(InputError, match="--numbers is for exported code"):
-        main(["--controller", "I", "--numbers", "float"])
 
 
 @pytest.mark.extra

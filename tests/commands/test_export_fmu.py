@@ -27,7 +27,7 @@ from synth.controller.export.fmu_description import BASE
 from synth.controller.export.linear_system import LinearSystem, loop_system, vehicle_system
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
-from tests.support.commands import in_the_suite, prose, refused
+from tests.support.commands import in_the_suite, prose
 
 COMPILER = shutil.which("cc")
 pytestmark = pytest.mark.skipif(COMPILER is None and find_spec(ZIG) is None, reason="no C compiler is here")
@@ -512,20 +512,8 @@ def test_binaries_for_other_platforms(version, tmp_path, monkeypatch):
         assert one.step(k, row) == ours(row)
 
 
-def test_which_options_go_together(tmp_path):
-    """Options of other files, and a controller where there is none in it, are refused in one line; the sources are all there."""
-    file = str(tmp_path / "x.fmu")
-    with refused("--fmi is for an FMU"):
-        main(["--controller", "I", "--export", str(tmp_path / "ecu"), "--fmi", "3"])
-    with refused("--part vehicle contains no controller"):
-        main(["--controller", "I", "--part", "vehicle", "--export", file])
-    with refused("--numbers is for C code"):
-        main(["--part", "vehicle", "--numbers", "float", "--export", file])
-    with refused("its variables are floating point"):
-        main(["--controller", "I", "--numbers", "int16", "--export", file])
-    with refused("skyhook"):
-        main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])
-    assert not list(tmp_path.iterdir())
+def test_the_sources():
+    """The folder of the sources has these files."""
     assert {path.name for path in HERE.iterdir()} == {"fmi.c", "fmu.h", "linear.c"}
 
 

@@ -9,7 +9,7 @@ from synth.__main__ import main
 from synth.controller.export.matlab import RESERVED, mat_file
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
-from tests.support.commands import prose, refused
+from tests.support.commands import prose
 
 LIMITS = "\n[limits]\nactuator_force = 500.0\n"
 
@@ -75,13 +75,7 @@ def test_names_and_bytes(folder):
     assert mat_file(vehicle, controllers) == mat_file(vehicle, controllers)
 
 
-def test_what_is_no_matrix(folder, tmp_path, capsys):
-    """Other laws than linear ones, and numbers of code, are refused in one line; --json names the files."""
-    file = str(tmp_path / "x.mat")
-    with refused("skyhook", "no matrices"):
-        main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--export", file])
-    with refused("--numbers is for C code"):
-        main(["--export", file, "--numbers", "float"])
-    assert not list(tmp_path.iterdir())
-    assert main(["--controller", "I_printed", "--export", file, "--json"]) == 0
+def test_json_names_the_files(tmp_path, capsys):
+    """--json names the files."""
+    assert main(["--controller", "I_printed", "--export", str(tmp_path / "x.mat"), "--json"]) == 0
     assert "x_ss.m" in prose(capsys.readouterr().out)

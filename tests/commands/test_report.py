@@ -142,9 +142,6 @@ BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:ste
     [
         ("--timestep 0.002 --vehicle car.toml", r"sample_period = 0\.005 s is not a multiple of the timestep 0\.002 s"),
         ("--speed 9", "--speed needs a road; give --road or --class"),
-        ("--class B --road flat", "exclude each other"),
-        ("--vehicle half_car --load corner:g=0.3", "rolls"),
-        ("--load push:g=1", "unknown load"),
         ("--gallery --as ecu", "--as and --gallery cannot be combined"),
         (
             "--vehicle car.toml --controller mine --timestep 0.005",

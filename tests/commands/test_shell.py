@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from models.common.errors import InputError
 from models.common.printed import pasted, pasted_path
 from models.kinds.kind import HERE
-from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import read_vehicle
 from synth.__main__ import main
 from tests.support.commands import environment
 
@@ -26,14 +25,6 @@ def test_a_shell_reads_it_back():
     command = " ".join([pasted(NAMES), *(pasted_path(Path(one)) for one in NAMES)])
     echo = subprocess.run(["/bin/bash", "-c", f"printf '%s\\0' {command}"], capture_output=True, check=True)
     assert echo.stdout.decode().split("\0")[:-1] == [*NAMES, *NAMES]
-
-
-@pytest.mark.parametrize("name", ["--help", "-I", "a b", "it's", ""])
-def test_names_of_controllers(name):
-    """A controller whose name would be an option, or no word, is refused."""
-    text = (HERE / "quarter_car.toml").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match=r"use letters, digits, '_' and '-', without '-' at the beginning"):
-        parse_vehicle(f'{text}\n[controllers."{name}"]\nmeasured = ["sprung_velocity"]')
 
 
 @pytest.mark.parametrize("name", ["नियंत्रक", "re\N{COMBINING ACUTE ACCENT}glage"])

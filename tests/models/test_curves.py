@@ -336,7 +336,6 @@ def test_a_parameter_that_changes_scales_its_curve():
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("{ velocity = [-1.0, 1.0] }", "force is missing"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
         ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
         ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
@@ -436,7 +435,6 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
     ("name", "content", "said"),
     [
         ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "column 1, 'velocity', has no unit (allowed: cm/s"),
-        ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "no unit (allowed: N, daN, kN, lbf); write the heading force [N]"),
         ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "has the unit 'km' (allowed: cm/s, ft/s, in/s, m/s, mm/s"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n-1, 10, 10\n1, 20, 20\n", "has a speed below 0; give"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n0, 90, -90\n1, 200, 300\n", "has 90 and -90 N at 0 m/s, as of a"),
@@ -445,10 +443,6 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "which direction is positive? Write"),
         ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be thousands; write"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]'; which direction is positive? Write"),
-        ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 has headings for its 2 column(s)"),
-        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
-        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "line 3, column 2: 'nan' is not"),
-        ("a.csv", "velocity [m/s], force [N]\n", "no line of numbers; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),

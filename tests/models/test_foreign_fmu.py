@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.common.errors import InputError
 from models.laws.python_runtime import OwnLaw
 from models.roads.road import Bump
 from models.vehicle import foreign_fmu
@@ -185,7 +184,7 @@ def test_without_fmpy(tmp_path, monkeypatch):
 
 
 def test_what_is_not_done_with_an_fmu(tmp_path):
-    """An FMU is not analysed or exported, keeps its path, lies in the folder of its vehicle file, and has no other law."""
+    """An FMU is not analysed or exported, and keeps its path."""
     (tmp_path / "their.fmu").write_bytes(b"")
     vehicle = parse_vehicle(TEXT + THEIRS, folder=tmp_path)
     driver = vehicle.controllers["theirs"].driver()
@@ -194,11 +193,6 @@ def test_what_is_not_done_with_an_fmu(tmp_path):
         vehicle.linear_entry("theirs")
     with refused("controller 'theirs' is an FMU, already code; export a linear or semi-active law"):
         exported_law(vehicle, driver, "double", "theirs")  # pyright: ignore[reportArgumentType]
-    for wrong in ('fmu = "../their.fmu"', 'fmu = "/tmp/their.fmu"', 'fmu = "their.zip"', 'fmu = "their.fmu"\npreview = 1.0'):
-        with pytest.raises(InputError, match="fmu"):
-            parse_vehicle(TEXT + THEIRS.replace('fmu = "their.fmu"', wrong), folder=tmp_path)
-    with refused("fmu", "gain"):
-        parse_vehicle(TEXT + THEIRS + "gain = [[1.0, 2.0]]\n", folder=tmp_path)
     (tmp_path / "their.fmu").unlink()
     with refused("there is no such file"):
         called(tmp_path)

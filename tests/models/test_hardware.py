@@ -208,27 +208,11 @@ def test_a_law_keeps_what_it_knows():
     assert certify_given(vehicle, "two", entry.measured, there.law).certificate.norm.value < there.certificate.norm.value
 
 
-def test_what_is_not_there_is_missed():
-    """Noise or lag that the file does not give is one line; so is a design that has its own, and a law without a norm."""
-    for flag, said in {
-        "noise = true": r"\[implementation\] gives no noise on its measured signals",
-        "lag = true": r"has no actuator_bandwidth",
-    }.items():
-        with pytest.raises(InputError, match=rf"\[controllers.one\] has {flag}, but .*{said}"):
-            built(flag, with_what="")
-    with pytest.raises(InputError, match="gives no noise on its measured signals"):
-        built("noise = true", with_what="[implementation]\nnoise = { unsprung_velocity = 0.1, sprung_velocity = 0.0 }\n")
-    with pytest.raises(InputError, match=r'design = "lqg" cannot be .* noise = true: this design always uses the noise'):
-        built('design = "lqg"', "noise = true")
-    with pytest.raises(InputError, match='design = "lqr" cannot be combined with lag = true: this design uses the full state'):
-        built("lag = true", section='[controllers.one]\ndesign = "lqr"\n')
-    with pytest.raises(InputError, match="law cannot be combined with noise = true: "):
-        built("noise = true", 'law = "my_law.py:step"')
+def test_noise_on_a_force():
+    """No design has noise on the measurement of a force."""
     force = "[implementation]\nnoise = { control_force = 1.0 }\n"
     with pytest.raises(InputError, match="has noise on 'control_force', and a design cannot"):
         built("noise = true", section=KINDS["accelerometer"], with_what=force)
-    with pytest.raises(InputError, match="noise = true cannot be combined with --zero-l: "):
-        Designer(built("noise = true")).design("one", zero_l=True)
 
 
 def test_others_stay_as_they_are():

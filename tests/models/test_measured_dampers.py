@@ -191,14 +191,12 @@ def test_a_car(name):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (f"c_max = {HARD}\n", "", r"c_max is missing"),
         (f"c_max = {HARD}", "c_max = 4000.0", r"c_min is a curve, but c_max is a number; give two curves, or two numbers"),
         (HARD, SOFT, r"at -1.5 m/s, c_min has the force -700 N and c_max -700 N; give the firmest setting as c_max"),
         ("-1700, -1000", "-1700, -100", r"at -0.2 m/s, c_min has the force .* N and c_max -100 N"),
         ("force = [-2600", "force = [nan", r"^\[actuators.c_max\] force\[0\] = nan is not allowed"),
         (HARD, "{ deflection = [-1.0, 1.0], force = [-1, 1] }", r"c_max 'deflection' is not allowed"),
         ("1400, 2300, 3600", "1400, 2300, 2310", r"last points, c_min and c_max are extended with 422.222 and 10 N s/m"),
-        (PAIR, PAIR + "c_middle = 3\n", r"unknown key 'c_middle'"),
     ],
 )
 def test_tables_that_are_none(old, new, said):

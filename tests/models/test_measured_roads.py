@@ -244,21 +244,6 @@ def test_from_is_the_rest_of_the_file(tmp_path):
             choose_road(text, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--class", "C"], "--from sets the start on a road from a file"),
-        (["--road", "bump"], "--from sets the start on a road from a file"),
-        (["--road", "rig:file=drive.csv"], "--from sets the start on a road from a file"),
-        (["--road", f"{UNEVEN}:from=3"], "from is given twice, as '3' and as '5.0'"),
-    ],
-)
-def test_from_needs_a_file(arguments, said):
-    """Only a road from a file has distances to start from."""
-    with refused(said):
-        main(["--controller", "passive", *arguments, "--from", "5", "--no-logs"])
-
-
 def test_a_log_of_a_measured_road(tmp_path, capsys):
     """A log of a drive from a distance on proves what it claims, from the log alone."""
     arguments = ["--controller", "I", "--road", str(UNEVEN), "--from", "20", "--duration", "0.5", "--logs", str(tmp_path)]

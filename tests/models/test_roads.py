@@ -215,10 +215,8 @@ def test_bad_opencrg(tmp_path, old, new, said):
     assert changed != content, "the test changes what is there"
     choose_road("road.crg", tmp_path)
     path.write_text(changed)
-    with pytest.raises(InputError) as error:
+    with refused(f"road file {path}: this is not an OpenCRG file {said}"):
         choose_road("road.crg", tmp_path)
-    assert str(error.value).startswith(f"road file {path}: this is not an OpenCRG file {said}")
-    assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.extra
@@ -526,12 +524,7 @@ def test_what_is_written_is_read(tmp_path):
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
-        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give columns"),
-        ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3, column 2: 'inf' is not a finite number"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), but line 1 has 2"),
-        ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), but line 1 has 2"),
-        ("0,0\n1,high\n2,0\n", "line 2"),
-        ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
         ("0,0\n", "a profile needs at least 2 points, but has 1"),
         ("", "the file is empty; give columns"),
@@ -547,15 +540,6 @@ def test_bad_profiles(tmp_path, text, said):
         choose_road(str(path))
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
-def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
-    """A file that is no UTF-8 is refused, with what to do about it."""
-    path = tmp_path / "road.csv"
-    path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
-    with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
-        choose_road(str(path))
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -563,8 +547,6 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("iso8608:rough=C", "'rough=C' is not a setting NAME=VALUE"),
         ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
         ("", "unknown road ''; give one of iso8608, bump"),
-        ("pothole:depth=deep", "depth = 'deep' is not a number; give a number in m, or a number with its unit"),
-        ("pothole:edge=3", "pothole edge = 3.0 is not allowed; give a number from 0.001 to 0.5 m"),
         ("pothole:length=0.3", "length = 0.3 m is less than its two edges of 0.2 m; give at least 0.4 m, or edge=0.15 or less"),
         ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
         ("sweep:highest=0.1", "sweep highest = 0.1 is not allowed; give a number from 0.5005 to 100 Hz"),
@@ -572,7 +554,6 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.csv:columns=1", "as in columns=1,3"),
         ("road.csv:offset=3", "'offset=3' is not a setting NAME=VALUE; NAME must be one of columns, distance_unit"),
         ("road.crg:height_unit=mm", "contains its own units"),
-        ("bump:height=0.1:height=0.2", "height is given twice, as '0.1' and as '0.2'"),
         ("iso8608:iri=2:class=C", "this road has class = C and iri = 2; give only one"),
         ("iso8608:gd=32e-6:iri=2", "this road has iri = 2 and gd = 3.2e-05; give only one"),
         ("iso8608:gd=32 mm", "unit of m3 is expected"),
@@ -655,7 +636,6 @@ def test_description_is_enough(road):
     ("description", "message"),
     [
         ({}, "type = None is unknown; known types are bump, chirp"),
-        ({**Bump().describe(), "depth": 1.0}, "road bump: unknown key 'depth'; known keys: height, length"),
         ({"type": "bump", "height": 0.1}, "road bump: length is missing"),
         ({**Bump().describe(), "factor": "a"}, "road bump: factor = 'a' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": "1"}, "roughness = '1' is not allowed; give a number"),

@@ -1,17 +1,20 @@
 """Every key of every section of a file: wrong types, ranges, units and spellings are refused in a line with section and key."""
 
+import itertools
 import math
 import pickle
+import re
 
 import pytest
 
-from models.common.errors import InputError
-from models.common.schema import SI, AnyTable, Choice, Flag, Integer, Key, Listed, keys, read, required
+from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, Key, Listed, Section, keys, read, required
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
+from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
+from models.roads.load_choice import choose_load
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
@@ -20,7 +23,7 @@ from models.suspension.bump_stops import StopSection
 from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.suspension.damper import ActuatorSection
 from models.suspension.motion_ratio import RatioSection
-from models.vehicle.controllers import ControllerSection
+from models.vehicle.controllers import ControllerEntry, ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection
@@ -28,6 +31,7 @@ from models.vehicle.vehicle import VehicleFile, kind, kinds, parse_vehicle, read
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber
+from tests.support.commands import refused
 
 CONTEXT = {
     "signals": {"sprung_velocity": "m/s"}, "measurable": ["sprung_velocity"], "heights": [], "corners": {"control_force": ""},
@@ -65,6 +69,11 @@ SECTIONS = {  # each with a table that is right
 }
 
 
+def sections(base: type = Section) -> list[type]:
+    """The sections of the project that no other section is made of."""
+    return [each for one in base.__subclasses__() for each in sections(one)] or [base]
+
+
 def of_each(key: Key) -> list[Key]:
     """The key, and those of the values that it holds."""
     held = [value for value in vars(key).values() if isinstance(value, Key)]
@@ -84,18 +93,24 @@ def wrapped(key: Key, value: object) -> object:
     return [wrapped(key.each, value)] * key.least if isinstance(key, Listed) else value
 
 
+def test_every_section_is_here():
+    """Every section of the project is in the table, but for what is made in Python alone."""
+    assert {one for one in sections() if not one.__module__.startswith("tests")} - {*SECTIONS} == {ControllerEntry}
+
+
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
 def test_a_section(section):
     """A right table is read, and is the same after it was pickled; an unknown key is refused, with the known ones."""
     given = read("[here]", section, SECTIONS[section], **CONTEXT)
     assert pickle.loads(pickle.dumps(given)) == given
-    with pytest.raises(InputError, match=r"^\[here\] unknown key 'colour'; known keys: \w+"):
-        read("[here]", section, {**SECTIONS[section], "colour": 1}, **CONTEXT)
-    with pytest.raises(InputError, match=r"^\[here\] = 3 is not a section; write \[here\]"):
+    for others in (SECTIONS[section], {}):
+        with refused(match=r"^\[here\] unknown key 'colour'; known keys: \w+"):
+            read("[here]", section, {**others, "colour": 1}, **CONTEXT)
+    with refused(match=r"^\[here\] = 3 is not a section; write \[here\]"):
         read("[here]", section, 3)
     for key in required(section):
         left = {name: value for name, value in SECTIONS[section].items() if name != key}
-        with pytest.raises(InputError, match=rf"^\[here\] {key} is missing; give {key}.*: \w+"):
+        with refused(match=rf"^\[here\] {key} is missing; give {key}.*: \w+"):
             read("[here]", section, left, **CONTEXT)
 
 
@@ -103,48 +118,86 @@ def test_a_section(section):
 def test_a_key(section, name, key):
     """A key has a meaning, and a value of a wrong type is refused in a line with section, key, value and what is allowed."""
     assert key.meaning
+    held = of_each(key)
+
+    def line(wrong, match):
+        with refused(match=match):
+            read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
+
     others = [1.5] if isinstance(key, Flag) else [] if "boolean" in str(key.json) else [True]
     for wrong in ([[]], *others, *[{"colour": []}] * (not isinstance(key, AnyTable))):
-        with pytest.raises(InputError) as error:
-            read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
-        assert str(error.value).startswith("[here")
-        assert name in str(error.value)
-    if any(isinstance(one, Choice) for one in of_each(key)):
-        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = 'blue' is not allowed; give '\w+"):
-            read("[here]", section, {**SECTIONS[section], name: wrapped(key, "blue")}, **CONTEXT)
+        line(wrong, rf"^\[here.*{name}")
+    if any(isinstance(one, Choice) for one in held):
+        line(wrapped(key, "blue"), rf"^\[here\] {name}\S* = 'blue' is not allowed; give '\w+")
+    if isinstance(key, Listed) and key.least:
+        line([], rf"^\[here\] {name} = \[\] is not allowed; give a list of at least \w+ value")
+    if type(key) is AnyTable:
+        line(1.0, rf"^\[here\] {name} = 1.0 is not a table; write its name in single brackets")
+    if isinstance(key, BySignal):
+        (signal, *_) = CONTEXT[key.names]
+        line({"colour": 1.0}, rf"^\[here\] {name}: unknown \w+ 'colour'; give one of {signal}")
+        for wrong in (key.low - 1, math.nan, True, "3 A"):
+            line({signal: wrong}, rf"^\[here.{name}\] {signal} = .*(give a number from|is expected)")
 
 
 @pytest.mark.parametrize(("section", "name", "key"), NUMBERS, ids=names(NUMBERS))
 def test_numbers(section, name, key):
-    """A number has a range, which the message names, and may have its unit; another unit is refused, with the right one."""
+    """A number has a range, which the message names, and may have its unit; no other value, and no other unit, is read."""
     (number,) = [one for one in of_each(key) if isinstance(one, SI | Integer)]
     unit = f" {number.unit}" if number.unit not in ("", "1") else ""
-    for wrong in (number.low - max(1, -number.low), *[number.high + max(1, number.high)] * math.isfinite(number.high)):
-        range_of = rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}"
-        with pytest.raises(InputError, match=rf"^\[here\] {range_of}"):
-            read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT)
-        if section in IN_PYTHON:
-            with pytest.raises(InputError, match=rf"^\w+ {range_of}$"):
-                section(**{name: wrong})
+    ways = [(r"^\[here\] ", lambda wrong: read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT))]
+    if section in IN_PYTHON:
+        ways.append((r"^\w+ ", lambda wrong: section(**{name: wrong})))
+    numbers = [number.low - max(1, -number.low), math.nan, 10**400, -math.inf]
+    numbers += [number.high + max(1, number.high)] * math.isfinite(number.high)
+    cases = [(wrong, rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}") for wrong in numbers]
+    cases.append(("a\nb", rf"{name}\S* = 'a\\nb' is not (allowed; give an? |a number; give a )\w+"))
     if isinstance(number, SI) and number.unit:
-        unknown = f"'3 A' has the unknown unit 'A', but a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
-        with pytest.raises(InputError, match=rf"^\[here\] {name}\S* = {unknown}"):
-            read("[here]", section, {**SECTIONS[section], name: wrapped(key, "3 A")}, **CONTEXT)
-        if section in IN_PYTHON:
-            with pytest.raises(InputError, match=rf"^\w+ {name} = {unknown}"):
-                section(**{name: "3 A"})
+        expected = f"a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
+        cases.append(("3 A", rf"{name}\S* = '3 A' has the unknown unit 'A', but {expected}"))
+        cases.append(("0,5 A", rf"{name}\S* = '0,5 A' has a decimal comma; write a decimal point"))
+    if unit:
+        cases.append(("3", rf"{name}\S* = '3' has no unit; add the unit, as in \"1.5{unit}\", or omit the quotes"))
+        value = max(number.low, min(1.5, number.high))
+        assert key.read(wrapped(key, f"{value!r}{unit}"), CONTEXT) == key.read(wrapped(key, value), CONTEXT)
+        if section in IN_PYTHON and math.isfinite(usual := getattr(section(), name) or math.inf):
+            assert section(**{name: f"{usual!r}{unit}"}) == section()
+    for (where, make), (wrong, said) in itertools.product(ways, cases):
+        with refused(match=where + said):
+            make(wrong)
+
+
+@pytest.mark.parametrize(("kind", "choose"), [*((one, choose_road) for one in OBSTACLES), *((one, choose_load) for one in LOADS)])
+def test_a_text(kind, choose):
+    """In a text, as on a command line, a number may have its unit; what is wrong with a setting is a line that names the text."""
+    section = {**OBSTACLES, **LOADS}[kind]
+    with refused(match=rf"^(road|load) '{kind}:colour=1': 'colour=1' is not a setting NAME=VALUE; NAME must be one of \w+"):
+        choose(f"{kind}:colour=1")
+    for name, key in keys(section).items():
+        if isinstance(key, SI) and (name != "speed" or kind == "flat"):
+            a_number = re.escape(f"a number from {key.low:g} to {key.high:g} {key.unit}")
+            for value, said in (
+                ("deep", f"= 'deep' is not a number; give a number in {key.unit}, or a number with its unit"),
+                ("-1e9", f"= -1000000000.0 is not allowed; give {a_number}"),
+                ("3 A", f"= '3 A' has the unknown unit 'A', but a unit of {key.unit} is expected"),
+                (f"1:{name}=2", "is given twice, as '1' and as '2'; give it once"),
+            ):
+                with refused(match=rf"^(road|load) '{kind}:{name}=.*': {name} {said}"):
+                    choose(f"{kind}:{name}={value}")
 
 
 @pytest.mark.parametrize("name", kinds())
 def test_a_parameter(name):
     """Every parameter of a built-in type is read with its unit, and refused with another unit or type, or out of its range."""
     known, right = kind(name), dict(read_vehicle(name).parameters)
+    with refused(match=rf"^unknown parameter 'wheelbase'; a {name} has .*, \w+_\w+"):
+        known.check_each({**right, "wheelbase": 2.5})
     for one in known.parameters:
         value = right.get(one.name, one.number.high)
         assert known.check_each({**right, one.name: f"{value!r} {one.unit}"})[one.name] == value
-        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, "3 A"):
-            allowed = rf"give a number from|but a (pure number|unit of {one.unit}) is expected"
-            with pytest.raises(InputError, match=rf"^{one.name} = .*({allowed})"):
+        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, 10**400, "3 A", "a\nb"):
+            allowed = rf"give a number (from|in)|but a (pure number|unit of {one.unit}) is expected"
+            with refused(match=rf"^{one.name} = .*({allowed})"):
                 known.check_each({**right, one.name: wrong})
 
 

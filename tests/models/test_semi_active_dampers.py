@@ -21,7 +21,7 @@ from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
 from tests.support.analysed import energy, sampled_response, simulate
-from tests.support.commands import attacks, refused
+from tests.support.commands import attacks
 
 QUARTER = """
 type = "quarter_car"
@@ -103,31 +103,6 @@ def check_physics(run):
     assert run.energy is not None
     assert run.energy.least is not None
     assert run.energy.least >= 0.0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('"damper"', '"valve"', r"kind = 'valve' is not allowed; give 'force' or 'damper'"),
-        ("c_min = 300.0", "", "c_min is missing; give c_min and c_max"),
-        ("c_min = 300.0", "c_min = 4000.0", r"c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
-        ("c_min = 300.0", "c_min = nan", r"c_min = nan is not allowed; give a number from 0 to"),
-        ("c_min = 300.0", "c_min = 1100.0", "suspension_damping = 1000 N s/m, which acts without a command, is outside of"),
-        ("c_max = 4000.0", "c_max = 4000.0\nbandwidth = 0", r"bandwidth = 0 is not allowed; give a number from 1e-06 .* rad/s"),
-        ("c_max = 4000.0", "c_max = 4000.0\nfast = true", r"\[actuators\] unknown key 'fast'"),
-        (
-            "c_max = 4000.0",
-            "c_max = 4000.0\n[actuators.front]\nc_min = 1",
-            "is not a suspension of this vehicle",
-        ),
-        ('kind = "damper"\n', "", r'has c_min without kind = "damper"'),
-        ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is for force actuators"),
-    ],
-)
-def test_bad_dampers(old, new, said):
-    """A mistake in [actuators] is said in one line."""
-    with refused(match=said):
-        parse_vehicle(QUARTER + DAMPER.replace(old, new))
 
 
 def test_one_for_all_and_for_one():

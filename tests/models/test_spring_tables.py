@@ -179,25 +179,6 @@ def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
         read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ('"bump.csv"\nsuspension_stroke = 0.07', "its table has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one"),
-        ("{ compression = [0, 0.01], force = [0, 500] }", "pushes back with 500 N at 0.01 m, without a point of contact"),
-        ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
-        ("{ compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),
-        ("{ compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force against bump or rebound"),
-        ("{ compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
-        ("{ compression = [0.01, 0.02], force = [0, 500] }\nstop_stiffness = 3", "two names of one key; omit one"),
-        ("1e5", "make a bump stop together"),
-    ],
-)
-def test_a_stop_that_is_none(tmp_path, more, said):
-    """Whatever is wrong with a stop's table is one line that says what, and what to give."""
-    with refused(said, "[limits"):
-        read_with(tmp_path, f"[limits]\nstop = {more}", bump=STOP)
-
-
 OVER_COMPRESSION, OVER_EXTENSION = "compression [mm],force [N]\n70,0\n80,1000\n", "extension [mm],force [N]\n70,0\n80,1000\n"
 OWN = "suspension_stroke = { rebound = 0.07 }\n"
 
@@ -437,11 +418,6 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
         ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; needed: deflection"),
         ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
-        (
-            "time,force [N],travel [mm]",
-            "tfx",
-            "column 1, 'time', has no unit (allowed: ms, s); write the heading time [s] or time_s",
-        ),
         ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
         ("t [s],force [N],travel [mm]", "ffx", "give a log with an even sample rate"),

@@ -76,10 +76,7 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
     ("text", "said"),
     [
         ("time [s];heave [N]\n0;1\n1;2,5,3\n", "line 3, column 2: '2,5,3' is not a finite number; give"),
-        (
-            "time [s];heave [N]\n0;1\n1;1.234,5\n",
-            "numbers contain both commas and dots: line 3 has '1.234,5'; write",
-        ),
+        ("time [s];heave [N]\n0;1\n1;1.234,5\n", "numbers contain both commas and dots: line 3 has '1.234,5'; write"),
         ("time [s] heave [N]\n1.300,0 1\n1400 2\n", "line 2, column 2: '0 1' is not a finite number"),
         ('time [s],heave [N]\n"0,5","-1.350"\n', "line 2 has '0,5' and line 2 has '-1.350'; write"),
         ("time [s];heave [N]\n0;1.250\n1;2,5\n", "line 2 has '1.250' and line 3 has '2,5'; write"),
@@ -91,6 +88,9 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
         ("0,1\n1,2\n", "no line above line 1 has headings for its 2 column(s)"),
         ("time,heave\ns,furlong\n0,1\n1,2\n", "column 1 is called 's', which is not one of heave"),
         ("time [s],heave [N]\nms,N\n0,1\n1,2\n", "the headings 'time [s]' and 'ms' of column 1 contradict each other"),
+        (f"time [s],heave [N]\n0,1\n1,{'1' * 140_000}\n", "is not a finite number; give"),
+        ("time [s],heave [N]\n0,1\n1,nan\n", "line 3, column 2: 'nan' is not a finite number"),
+        ("time [s],heave [N]\n# nothing\n", "no line of numbers; give"),
         ("time [s],heave [N]\n0,1\n1\n", "line 3 has 1 column(s), but line 2 has 2"),
     ],
 )

@@ -8,7 +8,6 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import qmc
 
-from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
@@ -315,10 +314,8 @@ def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):
     (tmp_path / "car.toml").write_text(car)
     (tmp_path / "law.py").write_text("def step(y, t, h):\n    return [0.0]\n")
     (tmp_path / "campaign.toml").write_text(text)
-    with pytest.raises(InputError) as error:
+    with refused(said):
         main(["campaign.toml", *options])
-    assert said in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
     assert {path.name for path in tmp_path.iterdir()} == {"car.toml", "law.py", "campaign.toml"}
 
 

@@ -446,26 +446,18 @@ DAMPED = {"vehicles": '["both.toml"]', "controllers": '["passive"]'}
 
 # (changes to the keys of a file that is fine, text after them, what is said)
 BAD_FILES = [
-    ({"vehicles": "[]"}, "", "vehicles = [] is not allowed; give"),
-    ({"roads": None}, "", "roads is missing; give roads: roads, as"),
     ({"vehicles": '["no_car"]'}, "", "vehicle file no_car"),
     ({"controllers": '["III"]'}, "", "has no controller 'III'; it has I, II"),
     ({"speeds": "[10, 10.0]"}, "", "speeds: 10 and 10.0 are the same; list only one of them"),
     ({"vehicles": f'["quarter_car", "{(ROOT / "models" / "quarter_car.toml").as_posix()}"]'}, "", "are the same; list only one"),
     ({"roads": '["bump", "bump:height=0.1"]'}, "", "roads: 'bump' and 'bump:height=0.1' are the same; list only one of them"),
-    ({"roads": '["iso8608:class=K"]'}, "", "unknown road class 'K'"),
     ({"roads": '["bump:length=0.01"]'}, "", "less than two timesteps"),
-    ({"speeds": '["fast"]'}, "", "speeds[0] = 'fast' is not allowed"),
     ({"seeds": "[1, 2.5]"}, "", "seeds[1] = 2.5 is not allowed; give an integer"),
     ({"seeds": "[1, 1]"}, "", "seeds: 1 and 1 are the same; list only one of them"),
     ({"seeds": "20000000"}, "", "or a list of seeds"),
-    ({"duration": "0.0"}, "", "duration"),
     ({"settle": "8.0"}, "", "settle = 8 s is too long for runs of 10 s"),
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
-    ({"speed": "20"}, "", "unknown key 'speed'"),
-    ({}, "[samples]\nmethod = 'sobol'\n", "[samples] count is missing; give count: number of samples"),
     ({}, "[samples]\ncount = 4\n", "lists nothing to sample"),
-    ({}, SAMPLED.replace("4", "4\nmethod = 'dice'") + "sprung_mass = { uniform = [1, 2] }", "method = 'dice'"),
     ({}, SAMPLED + "colour = { uniform = [1, 2] }", "'colour' cannot be sampled; sample one of sprung_mass"),
     ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is not a distribution"),
     ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "is not a distribution; give sprung_mass = { uniform = [low, high] } or"),
@@ -511,7 +503,6 @@ def test_a_cluster_that_is_not_there_is_said_at_once(tmp_path, address, words):
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n'
     )
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words):
         main([str(tmp_path / "campaign.toml"), "--ray", address])
-    assert "\n" not in str(caught.value)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]

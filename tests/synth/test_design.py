@@ -270,14 +270,10 @@ def test_matrices_that_do_not_fit(change, message):
     ("Cy", "message"),
     [
         (np.ones((1, 3)), r"Cy has shape \(1, 3\); expected \(q, 2\)"),
-        (np.ones(2), r"Cy has shape \(2,\)"),
         (np.zeros((0, 2)), "nothing is measured"),
-        (np.array([[np.inf, 0.0]]), "Cy has an entry that is not finite"),
         (np.array([[1.0, 0.0], [0.0, 0.0]]), "row 1 of Cy is zero"),
         (np.array([[1.0, 0.0], [0.0, 1e-200]]), "row 1 of Cy is below 1e-50"),
         (np.array([[1.0, 0.0], [0.0, 1e200]]), r"Cy has an entry beyond 1e\+50"),
-        (np.array([[1j, 0.0]]), "Cy has complex entries"),
-        ([[1.0, 0.0], [1.0]], "Cy is not a matrix of numbers"),
     ],
 )
 def test_measurements_that_do_not_fit(Cy, message):

@@ -25,7 +25,7 @@ from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
 from tests.claims.test_no_controller_beats_a_bound import of_lists
-from tests.support.commands import attacks
+from tests.support.commands import attacks, refused
 from tests.synth.test_any_plant import asked, drawn
 
 design_feedback: Any = feedback.design_feedback  # it takes lists for arrays
@@ -235,8 +235,6 @@ def test_descent_from_the_two_steps_keeps_the_largest_gain():
         ({"A": [[1, 0], [0, -1]], "B": [[1], [1]]}, "none of them contains the mode at 1 1/s"),
         ({"A": [[0, 1], [1, 0]]}, "no static gain on these .* stabilises the plant, whose mode at 1 1/s does not decay"),
         ({"Cy": np.zeros((0, 2))}, "Cy has no rows: nothing is measured"),
-        ({"Cy": [[1, 2, 3]]}, r"Cy has shape \(1, 3\); expected \(q, 2\)"),
-        ({"Dyw": [[1, 2]]}, r"Dyw has shape \(1, 2\); expected \(1, 1\)"),
     ],
 )
 def test_what_cannot_be_is_said_first(change, message, monkeypatch):
@@ -260,7 +258,7 @@ def test_words_that_need_others_or_are_none():
         ({"design": "pid"}, "design = 'pid' is not known; known: h2, lqg, lqr"),
         ({"noise": [0.1, 0.1]}, r"noise = \[0.1, 0.1\] is not allowed; give 1 numbers"),
         ({"bounds": peak}, "bounds: a peak over a road needs a vehicle"),
-        ({"minimise": {"signals": {"z9": 1.0}}}, "minimise signals: unknown signal 'z9'; give one of z1, z2"),
+        ({"minimise": {"signals": {"z9": 1.0}}}, "minimise.signals: unknown signal 'z9'; give one of z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
         ({"order": 3}, "order = 3 exceeds the 2 states of the plant; give at most 2"),
         ({"order": -1}, "order = -1 is not known; known: full, static, or a number of states from 0"),
@@ -269,9 +267,8 @@ def test_words_that_need_others_or_are_none():
         ({"family": [of_lists([[-1]], [[1]], [[1]], [[1]], [[0]])]}, "Cy has shape"),
         ({"tolerance": {"y2": 0.1}}, r"tolerance: unknown key 'y2'; give force, u1, y1 \(force is all forces\)"),
     ):
-        with pytest.raises(InputError, match=message) as refused:
+        with refused(match=message):
             design_feedback(OSCILLATOR, CY, **words)
-        assert "\n" not in str(refused.value)
     held = GeneralizedPlant(*(getattr(OSCILLATOR, name) for name in ("A", "B", "Bw", "C", "D", "Dw")), dt=0.1)
     with pytest.raises(InputError, match=r"the plant is discrete \(dt = 0.1\)"):
         design_feedback(held, CY, sample_period=0.1)

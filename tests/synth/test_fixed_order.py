@@ -319,32 +319,6 @@ def test_an_integral_that_nothing_moves_is_said():
         quarter_car(section + 'structure = "pi"').design("mine")
 
 
-WRONG: tuple[tuple[str, str], ...] = (
-    ("order = 300", "order = 300 is unknown; give one of full, static, or a number of states from 0 to 200"),
-    ("order = true", "order = True is unknown"),
-    ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd but no filter"),
-    ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts only on the derivative"),
-    ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller has only one law"),
-    ("pid = { kp = [1.0, 2.0] }", r"pid.kp = \[1.0, 2.0\] is not allowed; give a number, or a list of 1"),
-    ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" designs the gains, but pid already gives kp'),
-    ('structure = "pi"\npid = { filter = 1.0 }', 'structure = "pi" has no derivative'),
-)
-
-
-@pytest.mark.parametrize(("lines", "message"), WRONG)
-def test_what_is_wrong_is_said_in_a_line(lines, message):
-    """A wrong order, table or structure is refused in one line that says what is allowed."""
-    with pytest.raises(InputError, match=message) as refused:
-        quarter_car(f'measured = ["suspension_deflection"]\n{lines}')
-    assert "\n" not in str(refused.value)
-
-
-def test_one_measured_signal_for_each_force():
-    """A PID law of two signals and one force is refused."""
-    with pytest.raises(InputError, match=r"needs one measured signal for each force, but measured has 2 signal\(s\) for 1 force"):
-        quarter_car('measured = ["suspension_deflection", "sprung_velocity"]\npid = { kp = 1.0 }')
-
-
 def test_the_certificate_is_of_the_laws_own_loop():
     """A law of a structure on readings that contain the force is certified with that loop solved."""
     section = 'measured = ["suspension_deflection", "sprung_acceleration"]\nstructure = "corner"\norder = 1\nnoise = true'

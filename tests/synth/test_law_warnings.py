@@ -100,8 +100,7 @@ def test_a_controller_that_is_left_out_is_named(corner, capsys):
 
 @pytest.mark.attack
 @pytest.mark.parametrize(
-    ("command", "options"),
-    [("sim.drive", ["--duration", "0.2", "--no-logs"]), ("sim.sweep", []), ("sim.report", ["--quick"])],
+    ("command", "options"), [("sim.drive", ["--duration", "0.2", "--no-logs"]), ("sim.sweep", []), ("sim.report", ["--quick"])]
 )
 def test_every_command_leaves_out_such_a_controller(command, options, corner, tmp_path, monkeypatch, capsys):
     """Every other command of several controllers leaves it out likewise, names it, and its exit code is 1."""
@@ -111,12 +110,6 @@ def test_every_command_leaves_out_such_a_controller(command, options, corner, tm
     printed = capsys.readouterr()
     assert json.loads(printed.out)["left_out"] == ["loop"]
     assert "controller 'loop' is not simulated: " in printed.err
-
-
-def test_a_section_that_cannot_be_read_is_bad_input(corner):
-    """A section with a key that does not exist is refused, whatever other controllers the file has."""
-    with refused("[controllers.loop]"):
-        synth(["--vehicle", corner(NO_LOOP, "gian = 1\n"), "--controller", "passive"])
 
 
 LAWS = {

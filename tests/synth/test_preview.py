@@ -312,32 +312,11 @@ def test_a_forged_preview_is_found(log, forged, said):
     assert any(said in finding.text for one in proof.runs for finding in one.findings)
 
 
-@pytest.mark.parametrize(
-    ("section", "said"),
-    [
-        ('design = "preview"', "needs the time for which it knows the road ahead; give it in seconds, as in preview = 0.5"),
-        ('design = "preview"\npreview = 0.5\nmeasured = ["sprung_velocity"]', 'design = "preview" uses the full state'),
-        ('design = "preview"\npreview = 0.5\nlag = true', "lag = true: this design uses the full state"),
-        ('design = "lqr"\npreview = 0.5', "preview needs a law in Python or design"),
-    ],
-)
-def test_bad_sections(section, said):
-    """A section that cannot be is refused in a line that says what to give."""
-    with refused(said):
-        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{section}\n")
-
-
 def test_a_filter_has_states_that_none_measures():
     """A filtered weight, or road, is refused in a line about previews."""
     text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
     with refused("a preview needs a measured state", "give constant weights"):
         Designer(parse_vehicle(text)).design("ahead")
-
-
-def test_dampers_cannot_push():
-    """A vehicle of adjustable dampers has no such design, and says why."""
-    with refused("acts before the road does, but semi-active dampers only resist motion"):
-        parse_vehicle(read_vehicle("quarter_car_semi_active").text + SECTION.format(0.5))
 
 
 def test_what_holds_a_law_alone_refuses_it(tmp_path):

@@ -126,22 +126,6 @@ def test_z_weighs_the_requested_force():
         assert acceleration == pytest.approx(through * (C @ np.linalg.solve(7j * np.eye(len(A)) - A, B) + D)[0, 0], rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("tolerance", "said"),
-    [
-        ("{ wheel = { weight = 0.1 } }", "force is all forces"),
-        ("{ force = { weight = -0.1 } }", "is not allowed; give"),
-        ("{ force = { weight = { numerator = [1.0, 0.0], denominator = [1.0] } } }", "the gain grows without limit"),
-        ("{ force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
-        ("{ force = { weight = 0.1 }, control_force = 0.1 }", "which means all forces, and a single force"),
-    ],
-)
-def test_wrong_weights(tolerance, said):
-    """A weight that is none is refused in one line that says what is allowed."""
-    with pytest.raises(InputError, match=said):
-        parse_vehicle(CAR.format(tolerance=tolerance))
-
-
 def test_a_law_that_does_nothing():
     """Without a gain no error acts: mu for stability is 0, the loop bears all of them, and mu for performance is the norm."""
     vehicle = parse_vehicle(CAR.format(tolerance=f"{{ force = {WEIGHT} }}").replace("2000.0, -1500.0", "0.0, 0.0"))
