@@ -34,15 +34,17 @@ class Key:
     Attributes:
         unit: unit of the value; empty without one.
         meaning: description of the key, one phrase.
+        schema: JSON schema of the value, if it is the same for all keys of the class.
     """
 
     unit: str = ""
     meaning: str = ""
+    schema: ClassVar[Mapping[str, Any]] = {}
 
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the value."""
-        return {}
+        return self.schema
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns a value of a file, converted.
@@ -100,6 +102,7 @@ class SI(Key):
 class Flag(Key):
     """True or false; `more` ends the message for another value."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "boolean"}
     meaning: str = ""
     more: str = ""
 
@@ -108,11 +111,6 @@ class Flag(Key):
         if not isinstance(value, bool):
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give true or false{self.more}")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a truth value."""
-        return {"type": "boolean"}
 
 
 @dataclass(frozen=True)
@@ -162,6 +160,7 @@ class Choice(Key):
 class Text(Key):
     """A text; `more` ends the message for another value."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "string"}
     meaning: str = ""
     more: str = ""
 
@@ -170,11 +169,6 @@ class Text(Key):
         if not isinstance(value, str):
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a text."""
-        return {"type": "string"}
 
 
 @dataclass(frozen=True)
@@ -198,13 +192,7 @@ class Listed(Key):
             least = f" of at least {'one value' if self.least == 1 else f'{self.least} values'}" * bool(self.least)
             most = f", and at most {self.most}" if self.most else ""
             raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
-        items = []
-        for i, one in enumerate(value):
-            try:
-                items.append(self.each.read(one, context))
-            except InputError as error:
-                raise InputError(str(error).replace(HERE, f"{HERE}[{i}]")) from error
-        return tuple(items)
+        return tuple(below(f"[{i}]", self.each, one, context) for i, one in enumerate(value))
 
     @property
     def json(self) -> Mapping[str, Any]:
@@ -216,6 +204,7 @@ class Listed(Key):
 class AnyTable(Key):
     """A table whose keys are names, and whose values are read later, when more is known."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -223,11 +212,6 @@ class AnyTable(Key):
         if not isinstance(value, Mapping):
             raise InputError(f"{HERE} = {quoted(value)} is not a table; write its name in single brackets, and its keys below")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of any table."""
-        return {"type": "object"}
 
 
 @dataclass(frozen=True)
@@ -300,26 +284,12 @@ class ReadBy(Key):
         return self.function(value, context)
 
 
-@dataclass(frozen=True)
-class Tables(Key):
-    """A list of tables, each of which is a section."""
-
-    meaning: str = ""
-    section: type["Section"] | None = None
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Returns the sections."""
-        if not isinstance(value, list | tuple) or self.section is None:
-            raise InputError(f"{HERE} = {quoted(value)} is not a list of tables; give each one as a table in double brackets")
-        return tuple(read(f"{HERE}[{i}]", self.section, one, **context) for i, one in enumerate(value))
-
-
-def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Returns a value of a table that is the value of a key; messages name the table, too."""
+def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
+    """Returns a value within the value of a key; messages name its place there, `.NAME` or `[INDEX]`, too."""
     try:
         return key.read(value, context)
     except InputError as error:
-        raise InputError(str(error).replace(HERE, f"{HERE}.{name}", 1)) from error
+        raise InputError(str(error).replace(HERE, f"{HERE}{place}")) from error
 
 
 class Section:

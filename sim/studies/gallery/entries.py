@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import parse_toml
-from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Key, Listed, Section, Tables, Text, read
+from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Key, Listed, Section, Subsection, Text, read
 from models.kinds import kind
 from models.roads.description import read_road
 from models.roads.road import Bump, Road
@@ -107,6 +107,9 @@ class MissingNumber(Section):
     source: Annotated[str, Choice("entry of `SOURCES` without any number for this reason, if it has no others", SOURCES)] = ""
 
 
+NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one in (PrintedNumber, MissingNumber))
+
+
 @dataclass(frozen=True)
 class Entry(Section):
     """Source and its numbers."""
@@ -115,8 +118,8 @@ class Entry(Section):
     title: Annotated[str, Text("title of the publication")]
     source: Annotated[str, Text("reference or address")]
     licence: Annotated[str, Text("licence, and the parts that are copied here")]
-    printed: Annotated[tuple[PrintedNumber, ...], Tables("the numbers that can be compared", PrintedNumber)] = ()
-    missing: Annotated[tuple[MissingNumber, ...], Tables("numbers that cannot be compared", MissingNumber)] = ()
+    printed: Annotated[tuple[PrintedNumber, ...], Listed("the numbers that can be compared", NUMBERS, least=0)] = ()
+    missing: Annotated[tuple[MissingNumber, ...], Listed("numbers that cannot be compared", REASONS, least=0)] = ()
     about: Annotated[str, Text("description in a sentence")] = ""
     sources: Annotated[tuple[str, ...], Listed("entries of `SOURCES` with numbers in it", Choice("", SOURCES))] = ()
 
