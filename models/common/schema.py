@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
-from models.common.checks import HERE, number_within
+from models.common.checks import HERE, is_finite
 from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
 from models.common.units import in_unit, setting
 
@@ -67,12 +67,16 @@ class Key:
 
 @dataclass(frozen=True)
 class SI(Key):
-    """A number in a unit and a range, written as 380 or "380 kg". It is also a condition of `models.common.checks`."""
+    """A number in a unit and a range, written as 380 or "380 kg"; `more` ends the message for another value.
+
+    Infinity is a number if it is the largest one. The key is also a condition of `models.common.checks`.
+    """
 
     unit: str = "1"
     meaning: str = ""
     low: float = SMALLEST
     high: float = LARGEST
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> float:
         """Returns the number in SI units."""
@@ -84,7 +88,10 @@ class SI(Key):
         Raises:
             InputError: the value is not a number, in another unit, or out of range.
         """
-        return number_within(what, in_unit(value, self.unit, what), self.low, self.high, self.unit)
+        value = in_unit(value, self.unit, what)
+        if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
+            raise InputError(f"{what} = {quoted(value)} is not allowed; give {self.words}{self.more}")
+        return float(value)
 
     @property
     def words(self) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
-from models.common.checks import is_finite, number_within
+from models.common.checks import is_finite
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
 from models.common.units import in_unit
@@ -180,7 +180,7 @@ def _error(where: str, given: Any) -> float | Filter:
     """Returns the largest relative error of a signal, or the weight of an error that depends on frequency."""
     if not isinstance(given, Mapping):
         more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-        return number_within(where, in_unit(given, "1", where), 0.0, LARGEST_TOLERANCE, more=more)
+        return SI("1", "", 0.0, LARGEST_TOLERANCE, more).number(where, given)
     if set(given) != {"weight"}:
         raise InputError(
             f"{where} = {quoted(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
@@ -189,7 +189,8 @@ def _error(where: str, given: Any) -> float | Filter:
     weight = given["weight"]
     if not isinstance(weight, Mapping):
         more = ", or numerator and denominator as coefficients in descending powers of s"
-        return Filter((((number_within(f"{where}.weight", weight, SMALLEST_WEIGHT, LARGEST_WEIGHT, more=more),), (1.0,)),))
+        number = SI("1", "", SMALLEST_WEIGHT, LARGEST_WEIGHT, more).number(f"{where}.weight", weight)
+        return Filter((((number,), (1.0,)),))
     return read(f"{where}.weight", FilterSection, weight).shape
 
 
