@@ -351,21 +351,18 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> S
                     raise InputError(
                         f"its table has no force in {here}, only in {there}; give it over {here}{own if sign > 0 else ''}"
                     )
-        elif length is None and spring is not None and isinstance(stiffness, StopPair):
-            raise InputError(f"{side}: has a stiffness, but suspension_stroke has no {side}; give both or neither")
+        elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
+            has, other = STOP_KEYS[:: 1 if spring is None else -1]
+            raise InputError(f"{side}: {has} has a value, but {other} has no {side}; give both or neither")
         elif length is not None and spring is not None:
-            stop = Stop(length, _coefficients(spring))
+            first, second, third = (*(spring if isinstance(spring, tuple) else (spring,)), 0.0, 0.0)[:MOST]
+            stop = Stop(length, (first, second, third))
         both.append(stop or Stop(math.inf, (0.0, 0.0, 0.0)))
     return Stops(*both)
 
 
 def _of_side(value: Any, side: str) -> Any:
     return getattr(value, side) if isinstance(value, StopPair) else value
-
-
-def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, float]:
-    first, second, third = (*(stiffness if isinstance(stiffness, tuple) else (stiffness,)), 0.0, 0.0)[:MOST]
-    return first, second, third
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
@@ -413,13 +410,6 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
             raise InputError(
                 f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
             )
-        if isinstance(stroke, StopPair) and isinstance(stiffness, StopPair):
-            for side in SIDES:
-                if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
-                    where = f" of {corner}" if corner else ""
-                    raise InputError(
-                        f"[limits] suspension_stroke{where} has {side}, but stop_stiffness does not; add {side} there"
-                    )
         with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
             if stiffness is not None:
                 stops(stroke, stiffness)
