@@ -15,7 +15,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import HERE, is_finite
@@ -280,11 +280,17 @@ class BySignal(Key):
 
 @dataclass(frozen=True)
 class ReadBy(Key):
-    """A value of one section alone, which a function of value and context reads, as `Key.read` does."""
+    """A value of one section alone, which a function of value and context reads, as `Key.read` does; `allowed` is its schema."""
 
     meaning: str = ""
     function: Callable[[Any, Mapping[str, Any]], Any] = lambda value, _: value
     unit: str = ""
+    allowed: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the value."""
+        return self.allowed
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns what the function returns."""
@@ -429,7 +435,7 @@ def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
 
 def keys(section: type) -> dict[str, Key]:
     """Returns unit, meaning and allowed values of every key of a section, by name."""
-    return {field.name: _key(field.type) for field in fields(section)}
+    return {one.name: _key(one.type) for one in fields(section)}
 
 
 def required(section: type) -> list[str]:

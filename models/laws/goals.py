@@ -24,13 +24,18 @@ CORNER = "corner"
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all actuators' forces
-SMALLEST, LARGEST = 1e-9, 1e12
+SMALLEST = 1e-9
 HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
-SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-6, 1e6  # of an error that is the same at all frequencies
-LARGEST_TOLERANCE = 0.9  # relative; a sensor that may be off by its whole reading says nothing
+BY_FREQUENCY = ", or numerator and denominator as coefficients in descending powers of s"
+WEIGHT = SI("1", "", 1e-6, 1e6, BY_FREQUENCY)  # of an error that is the same at all frequencies
+ERROR = SI(  # a sensor that may be off by its whole reading says nothing
+    more=" as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency",
+    low=0.0,
+    high=0.9,
+)
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
@@ -179,8 +184,7 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
 def _error(where: str, given: Any) -> float | Filter:
     """Returns the largest relative error of a signal, or the weight of an error that depends on frequency."""
     if not isinstance(given, Mapping):
-        more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-        return SI("1", "", 0.0, LARGEST_TOLERANCE, more).number(where, given)
+        return ERROR.number(where, given)
     if set(given) != {"weight"}:
         raise InputError(
             f"{where} = {quoted(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
@@ -188,9 +192,7 @@ def _error(where: str, given: Any) -> float | Filter:
         )
     weight = given["weight"]
     if not isinstance(weight, Mapping):
-        more = ", or numerator and denominator as coefficients in descending powers of s"
-        number = SI("1", "", SMALLEST_WEIGHT, LARGEST_WEIGHT, more).number(f"{where}.weight", weight)
-        return Filter((((number,), (1.0,)),))
+        return Filter((((WEIGHT.number(f"{where}.weight", weight),), (1.0,)),))
     return read(f"{where}.weight", FilterSection, weight).shape
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import rough
-from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, Key, Section, read
+from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
 from models.suspension import STOP, STOP_KEYS, STOP_NAMES
 from models.suspension.bump_stops import StopPair, StopSection, read_places, stop_words, stops_at
@@ -147,22 +147,14 @@ def delay_text(delay: float) -> str:
     return f"{samples(delay)} late"
 
 
-@dataclass(frozen=True)
-class Samples(Key):
-    """Delay in samples of the controller, as an int if it is an integer."""
+def _delay(value: Any, context: Mapping[str, Any]) -> float:
+    """Returns a delay in samples of the controller, as an int if it is an integer."""
+    if not is_finite(value) or not 0 <= value <= MOST_DELAY:
+        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
+    return int(value) if value == int(value) else value
 
-    meaning: str = "delay from a measurement to the force computed from it, in samples, or as a time"
 
-    def read(self, value: Any, context: Mapping[str, Any]) -> float:
-        """Returns the number of samples."""
-        if not is_finite(value) or not 0 <= value <= MOST_DELAY:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
-        return int(value) if value == int(value) else value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the delay."""
-        return SI("s", low=0, high=MOST_DELAY).json
+LATE = "delay from a measurement to the force computed from it, in samples, or as a time"
 
 
 @dataclass(frozen=True)
@@ -172,7 +164,7 @@ class Implementation(Section):
     given_as = "an implementation, such as vehicle.implementation"
 
     sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
-    delay: Annotated[float, Samples()] = 0
+    delay: Annotated[float, ReadBy(LATE, _delay, allowed=SI("s", low=0, high=MOST_DELAY).json)] = 0
     noise: Annotated[Mapping[str, float], BySignal("rms of the white noise on measured signals")] = field(default_factory=dict)
     quantisation: Annotated[Mapping[str, float], BySignal("resolution of measured signals")] = field(default_factory=dict)
     seed: Annotated[int, Integer("seed of the noise")] = 0

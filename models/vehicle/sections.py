@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
-from models.common.schema import HERE, SI, AnyTable, read
+from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
 
@@ -65,23 +65,21 @@ class Weight(SI):
         return SI(self.unit, "", least, self.high, more).number(what, value)
 
 
+FACTORS = "factors of the signals in a weighted sum"
 WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
 
 
-class Terms(AnyTable):
-    """Factors of signals in a sum. The context of the reader has `outputs`, the names of the signals."""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
-        """Returns the factors by signal."""
-        outputs = context["outputs"]
-        if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
-            raise InputError(
-                f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
-                f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
-            )
-        if unknown := [signal for signal in value if signal not in outputs]:
-            raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
-        return {signal: float(one) for signal, one in value.items()}
+def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+    """Returns the factors of signals in a sum. The context has `outputs`, the names of the signals."""
+    outputs = context["outputs"]
+    if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
+        raise InputError(
+            f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
+            f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
+        )
+    if unknown := [signal for signal in value if signal not in outputs]:
+        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
+    return {signal: float(one) for signal, one in value.items()}
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class WeightSection(FilterSection):
     integrates: ClassVar[bool] = True
 
     weight: Annotated[float, WEIGHT] = 1.0
-    sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
+    sum: Annotated[Mapping[str, float], ReadBy(FACTORS, _terms, allowed={"type": "object"})] | None = None
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]

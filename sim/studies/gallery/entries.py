@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import parse_toml
-from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Key, Listed, Section, Subsection, Text, read
+from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Listed, ReadBy, Section, Subsection, Text, read
 from models.kinds import kind
 from models.roads.description import read_road
 from models.roads.road import Bump, Road
@@ -44,17 +44,11 @@ SOURCES = (
 )
 
 
-@dataclass(frozen=True)
-class RoadTable(Key):
-    """A road as a table; without its `type` it is a bump, or with an `edge` a step."""
-
-    meaning: str = ""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> Road:
-        """Returns the road."""
-        if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
-        return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
+def _road(value: Any, context: Mapping[str, Any]) -> Road:
+    """Returns the road of a table; without its `type` it is a bump, or with an `edge` a step."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
+    return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ class PrintedNumber(Section):
     signal: Annotated[str, Text("output signal")] = ""
     at: Annotated[tuple[int, ...], Listed("row and column of an entry of a matrix, from 0; a scalar has none", Integer())] = ()
     hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
-    road: Annotated[Road, RoadTable("a road; without its `type` a bump, or with an `edge` a step")] = PAPER_BUMP
+    road: Annotated[Road, ReadBy("a road; without its `type` a bump, or with an `edge` a step", _road)] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
     timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
     band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
