@@ -29,13 +29,10 @@ HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
-BY_FREQUENCY = ", or numerator and denominator as coefficients in descending powers of s"
-WEIGHT = SI("1", "", 1e-6, 1e6, BY_FREQUENCY)  # of an error that is the same at all frequencies
-ERROR = SI(  # a sensor that may be off by its whole reading says nothing
-    more=" as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency",
-    low=0.0,
-    high=0.9,
-)
+EITHER = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
+ERROR = SI("1", "", 0.0, 0.9, EITHER)  # a sensor that may be off by its whole reading says nothing
+COEFFICIENTS = ", or numerator and denominator as coefficients in descending powers of s"
+WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # of an error that is the same at all frequencies
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
