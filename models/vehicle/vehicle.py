@@ -476,17 +476,12 @@ class Vehicle(Shown):
         return np.ones(len(omega), dtype=complex) if self.road_filter is None else self.road_filter.response(omega)
 
     @property
-    def kind_files(self) -> tuple[Path, ...]:
-        """Files of its kind."""
-        return self.kind.mjcf, self.kind.mjcf.with_suffix(".py")
-
-    @property
     def files(self) -> tuple[Path, ...]:
         """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)
-        return (*own, *laws, *roads, *self.kind_files)
+        return (*own, *laws, *roads, self.kind.mjcf, self.kind.mjcf.with_suffix(".py"))
 
     @property
     def unladen(self) -> "Vehicle":
