@@ -18,8 +18,9 @@ from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origi
 import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
-from models.common.errors import InputError, listing, number_range, quoted
+from models.common.errors import InputError, quoted
 from models.common.files import path_from
+from models.common.units import in_unit
 
 F = TypeVar("F", bound=Callable[..., Any])
 HERE = "\N{WHITE SQUARE}"  # in the message of a `models.common.schema.Key`: the name of the value that was read
@@ -85,19 +86,6 @@ def check(name: str, value: Any, annotation: Any) -> Any:
         raise InputError(message.replace(HERE, f"{name}{place}")) from None
 
 
-def as_number(value: Any, unit: str, what: str) -> Any:
-    """Returns the number of a text with a number and its unit, in another unit; any other value, or without a unit, as it is.
-
-    Raises:
-        InputError: the number has no unit, an unknown one, or one of another dimension.
-    """
-    if not (unit and isinstance(value, str)):
-        return value
-    from models.common.units import in_unit
-
-    return in_unit(value, unit, what)
-
-
 def check_fields(value: Any, prefix: str = "") -> None:
     """Checks the fields of a dataclass, for `__post_init__`. Lists become the annotated arrays and tuples.
 
@@ -125,27 +113,6 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
     """Raises an InputError if an array has another shape; `why` explains the expected one."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
-
-
-def number_within(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
-    """Returns a number from `smallest` to `largest` as a float. `what` names it in the message, and `more` ends that.
-
-    With a unit, a text such as "450 kg" is a number, too. Infinity is one if it is the largest number.
-
-    Raises:
-        InputError: the value is not a number, or out of range, or has a unit of another dimension.
-    """
-    value = as_number(value, unit, what)
-    if not (is_finite(value) or (isinstance(value, float) and value == largest)) or not smallest <= value <= largest:
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
-    return float(value)
-
-
-def check_keys(where: str, table: Iterable[str], known: Iterable[str]) -> None:
-    """Raises an InputError if a table, at the place `where`, has an unknown key."""
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where} unknown key {quoted(key)}; known keys: {listing(known)}".lstrip())
 
 
 def at_the_door(function: F) -> F:
@@ -216,7 +183,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
         try:
             if not isinstance(key, Must):
                 return key.read(plain(value), {})
-            value = as_number(value, key.unit, HERE)
+            value = in_unit(value, key.unit, HERE) if key.unit else value
         except InputError as error:
             raise _UnfitError(place, given, allowed, str(error)) from None
         value = _fit(place, value, inner[0], allowed)

@@ -20,7 +20,6 @@ from typing import Any
 
 from models.common.errors import InputError
 
-
 UNQUOTED = re.compile(r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)")  # a number with a unit
 
 

@@ -15,10 +15,10 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
-from models.common.checks import HERE, number_within
+from models.common.checks import HERE, is_finite
 from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
 from models.common.units import in_unit, setting
 
@@ -34,15 +34,17 @@ class Key:
     Attributes:
         unit: unit of the value; empty without one.
         meaning: description of the key, one phrase.
+        schema: JSON schema of the value, if it is the same for all keys of the class.
     """
 
     unit: str = ""
     meaning: str = ""
+    schema: ClassVar[Mapping[str, Any]] = {}
 
     @property
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the value."""
-        return {}
+        return self.schema
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns a value of a file, converted.
@@ -65,12 +67,16 @@ class Key:
 
 @dataclass(frozen=True)
 class SI(Key):
-    """A number in a unit and a range, written as 380 or "380 kg". It is also a condition of `models.common.checks`."""
+    """A number in a unit and a range, written as 380 or "380 kg"; `more` ends the message for another value.
+
+    Infinity is a number if it is the largest one. The key is also a condition of `models.common.checks`.
+    """
 
     unit: str = "1"
     meaning: str = ""
     low: float = SMALLEST
     high: float = LARGEST
+    more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> float:
         """Returns the number in SI units."""
@@ -82,7 +88,10 @@ class SI(Key):
         Raises:
             InputError: the value is not a number, in another unit, or out of range.
         """
-        return number_within(what, in_unit(value, self.unit, what), self.low, self.high, self.unit)
+        value = in_unit(value, self.unit, what)
+        if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
+            raise InputError(f"{what} = {quoted(value)} is not allowed; give {self.words}{self.more}")
+        return float(value)
 
     @property
     def words(self) -> str:
@@ -100,6 +109,7 @@ class SI(Key):
 class Flag(Key):
     """True or false; `more` ends the message for another value."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "boolean"}
     meaning: str = ""
     more: str = ""
 
@@ -108,11 +118,6 @@ class Flag(Key):
         if not isinstance(value, bool):
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give true or false{self.more}")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a truth value."""
-        return {"type": "boolean"}
 
 
 @dataclass(frozen=True)
@@ -162,6 +167,7 @@ class Choice(Key):
 class Text(Key):
     """A text; `more` ends the message for another value."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "string"}
     meaning: str = ""
     more: str = ""
 
@@ -170,11 +176,6 @@ class Text(Key):
         if not isinstance(value, str):
             raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a text."""
-        return {"type": "string"}
 
 
 @dataclass(frozen=True)
@@ -198,13 +199,7 @@ class Listed(Key):
             least = f" of at least {'one value' if self.least == 1 else f'{self.least} values'}" * bool(self.least)
             most = f", and at most {self.most}" if self.most else ""
             raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
-        items = []
-        for i, one in enumerate(value):
-            try:
-                items.append(self.each.read(one, context))
-            except InputError as error:
-                raise InputError(str(error).replace(HERE, f"{HERE}[{i}]")) from error
-        return tuple(items)
+        return tuple(below(f"[{i}]", self.each, one, context) for i, one in enumerate(value))
 
     @property
     def json(self) -> Mapping[str, Any]:
@@ -216,6 +211,7 @@ class Listed(Key):
 class AnyTable(Key):
     """A table whose keys are names, and whose values are read later, when more is known."""
 
+    schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -223,11 +219,6 @@ class AnyTable(Key):
         if not isinstance(value, Mapping):
             raise InputError(f"{HERE} = {quoted(value)} is not a table; write its name in single brackets, and its keys below")
         return value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of any table."""
-        return {"type": "object"}
 
 
 @dataclass(frozen=True)
@@ -289,37 +280,29 @@ class BySignal(Key):
 
 @dataclass(frozen=True)
 class ReadBy(Key):
-    """A value of one section alone, which a function of value and context reads, as `Key.read` does."""
+    """A value of one section alone, which a function of value and context reads, as `Key.read` does; `allowed` is its schema."""
 
     meaning: str = ""
     function: Callable[[Any, Mapping[str, Any]], Any] = lambda value, _: value
     unit: str = ""
+    allowed: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the value."""
+        return self.allowed
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns what the function returns."""
         return self.function(value, context)
 
 
-@dataclass(frozen=True)
-class Tables(Key):
-    """A list of tables, each of which is a section."""
-
-    meaning: str = ""
-    section: type["Section"] | None = None
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Returns the sections."""
-        if not isinstance(value, list | tuple) or self.section is None:
-            raise InputError(f"{HERE} = {quoted(value)} is not a list of tables; give each one as a table in double brackets")
-        return tuple(read(f"{HERE}[{i}]", self.section, one, **context) for i, one in enumerate(value))
-
-
-def below(name: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Returns a value of a table that is the value of a key; messages name the table, too."""
+def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
+    """Returns a value within the value of a key; messages name its place there, `.NAME` or `[INDEX]`, too."""
     try:
         return key.read(value, context)
     except InputError as error:
-        raise InputError(str(error).replace(HERE, f"{HERE}.{name}", 1)) from error
+        raise InputError(str(error).replace(HERE, f"{HERE}{place}")) from error
 
 
 class Section:
@@ -452,7 +435,7 @@ def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
 
 def keys(section: type) -> dict[str, Key]:
     """Returns unit, meaning and allowed values of every key of a section, by name."""
-    return {field.name: _key(field.type) for field in fields(section)}
+    return {one.name: _key(one.type) for one in fields(section)}
 
 
 def required(section: type) -> list[str]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
-from models.common.checks import is_finite, number_within
+from models.common.checks import is_finite
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
 from models.common.units import in_unit
@@ -24,13 +24,15 @@ CORNER = "corner"
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all actuators' forces
-SMALLEST, LARGEST = 1e-9, 1e12
+SMALLEST = 1e-9
 HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
-SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-6, 1e6  # of an error that is the same at all frequencies
-LARGEST_TOLERANCE = 0.9  # relative; a sensor that may be off by its whole reading says nothing
+EITHER = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
+ERROR = SI("1", "", 0.0, 0.9, EITHER)  # a sensor that may be off by its whole reading says nothing
+COEFFICIENTS = ", or numerator and denominator as coefficients in descending powers of s"
+WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # of an error that is the same at all frequencies
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
@@ -179,8 +181,7 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
 def _error(where: str, given: Any) -> float | Filter:
     """Returns the largest relative error of a signal, or the weight of an error that depends on frequency."""
     if not isinstance(given, Mapping):
-        more = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-        return number_within(where, in_unit(given, "1", where), 0.0, LARGEST_TOLERANCE, more=more)
+        return ERROR.number(where, given)
     if set(given) != {"weight"}:
         raise InputError(
             f"{where} = {quoted(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
@@ -188,8 +189,7 @@ def _error(where: str, given: Any) -> float | Filter:
         )
     weight = given["weight"]
     if not isinstance(weight, Mapping):
-        more = ", or numerator and denominator as coefficients in descending powers of s"
-        return Filter((((number_within(f"{where}.weight", weight, SMALLEST_WEIGHT, LARGEST_WEIGHT, more=more),), (1.0,)),))
+        return Filter((((WEIGHT.number(f"{where}.weight", weight),), (1.0,)),))
     return read(f"{where}.weight", FilterSection, weight).shape
 
 

@@ -10,7 +10,7 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -65,16 +65,8 @@ class LawCoefficients:
     def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
         """Returns the coefficients with a function applied to each quantity."""
         damped, moved = ([taken(factor) for factor in factors] for factors in self.modes)
-        return LawCoefficients(
-            taken(self.c_min),
-            taken(self.c_max),
-            taken(self.sky),
-            taken(self.ground),
-            taken(self.stiffness),
-            (damped, moved),
-            taken(self.mix),
-            taken(self.crossover),
-        )
+        others = {name: taken(value) for name, value in vars(self).items() if name not in ("modes", "still")}
+        return replace(self, modes=(damped, moved), **others)
 
 
 Law = Callable[..., Quantity]  # (LawCoefficients, measurements of shape (N, m), or (N, 1) for a mode of the body) -> coefficients

@@ -142,16 +142,6 @@ class Ramped(Section, Load):
 NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
 
 
-def _moment(kind: str, g: float, p: Parameters) -> float:
-    """Returns m_s a h [N m]."""
-    if absent := [name for name in NEEDED if name not in p]:
-        raise InputError(
-            f"load {kind} needs {' and '.join(map(repr, NEEDED))} for its moment, but this vehicle has no {absent[0]!r}"
-        )
-    mass, height = (p[name] for name in NEEDED)
-    return mass * GRAVITY * g * height
-
-
 class _Inertial(Ramped):
     """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
 
@@ -165,8 +155,13 @@ class _Inertial(Ramped):
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns one moment."""
-        return {self.way: _moment(self.kind, self.g, p)}
+        """Returns one moment, m_s a h [N m]."""
+        if absent := [name for name in NEEDED if name not in p]:
+            raise InputError(
+                f"load {self.kind} needs {' and '.join(map(repr, NEEDED))} for its moment, but this vehicle has no {absent[0]!r}"
+            )
+        mass, height = (p[name] for name in NEEDED)
+        return {self.way: mass * GRAVITY * self.g * height}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
         """Returns the force of the body's mass, and the acceleration."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, error_in, listing
 from models.common.files import path_from, reading
 from models.common.schema import read_text
 from models.common.table import find_table
@@ -80,16 +80,6 @@ class History(Load):
         return replace(self, columns={name: factor * column for name, column in self.columns.items()})
 
 
-def read_history(path: Path) -> History:
-    """Reads a load from its file.
-
-    Raises:
-        InputError: the file cannot be read, or is not a load file; the message has the line.
-    """
-    with reading(path, "load file", GIVE):
-        return _history(path.read_text(encoding="utf-8-sig"), named(path))
-
-
 def named(path: Path | str) -> str:
     """Returns a file's name for a description, without `;` and ` + `, which separate parts there."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
@@ -97,10 +87,8 @@ def named(path: Path | str) -> str:
 
 def parse_history(text: str, source: str) -> History:
     """Reads a load from the text of a CSV file."""
-    try:
+    with error_in(f"load file {source}:"):
         return _history(text, source)
-    except InputError as error:
-        raise InputError(f"load file {source}: {error}") from error
 
 
 def _history(text: str, source: str) -> History:
@@ -133,7 +121,9 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
         InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
     """
     if is_load_file(text):
-        return read_history(path_from(text.strip(), folder))
+        path = path_from(text.strip(), folder)
+        with reading(path, "load file", GIVE):
+            return _history(path.read_text(encoding="utf-8-sig"), named(path))
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")
@@ -149,16 +139,7 @@ def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
     loads = []
     for text in texts:
         source, semicolon, rows = text.partition(";")
-        loads.append(parse_history(rows.replace(";", "\n"), source) if semicolon else choose_described(text))
+        if not semicolon and text.partition(":")[0] not in LOADS:
+            raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")
+        loads.append(parse_history(rows.replace(";", "\n"), source) if semicolon else choose_load(text))
     return tuple(loads)
-
-
-def choose_described(text: str) -> Load:
-    """Returns a load from a text that is not the name of a file.
-
-    Raises:
-        InputError: the text is not a load.
-    """
-    if text.partition(":")[0] not in LOADS:
-        raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")
-    return choose_load(text)

@@ -26,7 +26,7 @@ from models.common.errors import InputError, listing, quoted
 from models.common.files import reading
 from models.common.printed import percent, rough
 from models.common.quantities import UNREAD, Heading, columns_in_words, left_out_words
-from models.common.schema import HERE, LARGEST, SI, Choice, Key, Section
+from models.common.schema import HERE, LARGEST, SI, Choice, ReadBy, Section
 from models.common.table import SEPARATORS, NumberTable, find_table, table_text
 from models.common.units import LENGTH, setting, unit_size
 from models.roads.profile import JOINS, Join, Profile, check_points
@@ -57,17 +57,11 @@ APART = 100.0  # m between the heights of two tracks
 SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and over the distance
 
 
-@dataclass(frozen=True)
-class Columns(Key):
-    """Numbers of columns, from 1, as in 1,3."""
-
-    meaning: str = ""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-        """Returns the columns, from 0."""
-        if not isinstance(value, str) or not COLUMNS.fullmatch(value):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; {GIVE_COLUMNS}")
-        return tuple(int(column) - 1 for column in value.split(","))
+def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
+    """Returns the columns, from 0, of a text with their numbers from 1, as in 1,3."""
+    if not isinstance(value, str) or not COLUMNS.fullmatch(value):
+        raise InputError(f"{HERE} = {quoted(value)} is not allowed; {GIVE_COLUMNS}")
+    return tuple(int(column) - 1 for column in value.split(","))
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,7 @@ class TableSettings(Section):
     height_unit: Annotated[str, Choice("unit of heights without a unit in the heading; default: m", UNITS)] = ""
     unit: Annotated[str, Choice("the same as `height_unit`", UNITS)] = ""
     separator: Annotated[str, Choice("separator of columns; default: found in the file", tuple(SEPARATORS))] = ""
-    columns: Annotated[tuple[int, ...], Columns("columns of distance and height, or distance, left and right")] = ()
+    columns: Annotated[tuple[int, ...], ReadBy("columns of distance and height, or distance, left and right", _columns)] = ()
     step: Annotated[float, SI("m", "constant spacing of the rows, of height, or left and right")] | None = None
     join: Join = JOINS[0]
 

@@ -272,7 +272,7 @@ class OfSides(Key):
             raise InputError(
                 f"{HERE} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
             )
-        return StopPair(*(below(side, self.one, given[side], context) if side in given else None for side in SIDES))
+        return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
 
     @property
     def json(self) -> Mapping[str, Any]:
@@ -327,10 +327,9 @@ class StopSection(Section):
     def __post_init__(self) -> None:
         if self.stop is not None and self.stop_stiffness is not None:
             raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
-
-    def place(self, name: str) -> "Place":
-        """Returns the keys as those of a corner, an axle, or all corners."""
-        return Place(name, self.suspension_stroke, self.stop if self.stop_stiffness is None else self.stop_stiffness)
+        if self.stop is not None:
+            object.__setattr__(self, STOP_KEYS[1], self.stop)
+            object.__setattr__(self, STOP, None)
 
 
 def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> Stops:
@@ -352,21 +351,18 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> S
                     raise InputError(
                         f"its table has no force in {here}, only in {there}; give it over {here}{own if sign > 0 else ''}"
                     )
-        elif length is None and spring is not None and isinstance(stiffness, StopPair):
-            raise InputError(f"{side}: has a stiffness, but suspension_stroke has no {side}; give both or neither")
+        elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
+            has, other = STOP_KEYS[:: 1 if spring is None else -1]
+            raise InputError(f"{side}: {has} has a value, but {other} has no {side}; give both or neither")
         elif length is not None and spring is not None:
-            stop = Stop(length, _coefficients(spring))
+            first, second, third = (*(spring if isinstance(spring, tuple) else (spring,)), 0.0, 0.0)[:MOST]
+            stop = Stop(length, (first, second, third))
         both.append(stop or Stop(math.inf, (0.0, 0.0, 0.0)))
     return Stops(*both)
 
 
 def _of_side(value: Any, side: str) -> Any:
     return getattr(value, side) if isinstance(value, StopPair) else value
-
-
-def _coefficients(stiffness: float | tuple[float, ...]) -> tuple[float, float, float]:
-    first, second, third = (*(stiffness if isinstance(stiffness, tuple) else (stiffness,)), 0.0, 0.0)[:MOST]
-    return first, second, third
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
@@ -384,27 +380,13 @@ def _stop_table(value: Mapping[str, Any]) -> StopTable:
     return table
 
 
-@dataclass(frozen=True)
-class Place:
-    """Keys of the stops of a corner, an axle, or all corners.
-
-    Attributes:
-        name: name of the corner or axle; empty for all.
-        suspension_stroke: travel either way before the bump stop [m], or one for each or one side; None: that of more corners.
-        stop_stiffness: stiffness of the stop [N/m], or the coefficients of a progressive one, or these for each side; likewise.
-    """
-
-    name: str
-    suspension_stroke: float | StopPair | None = None
-    stop_stiffness: Stiffness | StopPair | None = None
-
-    def holds(self, corner: str) -> bool:
-        """Returns True if a corner belongs to the place."""
-        return not self.name or f"{corner}_".startswith(f"{self.name}_")
+def holds(place: str, corner: str) -> bool:
+    """Returns True if a corner belongs to the place of that name: a corner, an axle, or with an empty name all corners."""
+    return not place or f"{corner}_".startswith(f"{place}_")
 
 
-def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> tuple[Place, ...]:
-    """Returns the stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
+def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> dict[str, StopSection]:
+    """Returns the stops of sections of corners and axles, by name.
 
     Args:
         common: keys of stops of all suspensions.
@@ -414,12 +396,12 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
     Raises:
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
     """
-    known, places = places_of(corners), [common.place("")]
+    known, places = places_of(corners), {"": common}
     for name, value in own.items():
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
             raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_NAMES)}")
-        places.append(read(f"[limits.{name}]", StopSection, value).place(name))
+        places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:
         stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
         polynomial = any(not isinstance(_of_side(stiffness, side), StopTable | None) for side in SIDES)
@@ -428,17 +410,10 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
             raise InputError(
                 f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
             )
-        if isinstance(stroke, StopPair) and isinstance(stiffness, StopPair):
-            for side in SIDES:
-                if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
-                    where = f" of {corner}" if corner else ""
-                    raise InputError(
-                        f"[limits] suspension_stroke{where} has {side}, but stop_stiffness does not; add {side} there"
-                    )
         with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
             if stiffness is not None:
                 stops(stroke, stiffness)
-    return tuple(places)
+    return {name: one for name, one in places.items() if one is not common}
 
 
 def places_of(corners: Sequence[str]) -> tuple[str, ...]:
@@ -447,7 +422,7 @@ def places_of(corners: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
 
 
-def stops_at(places: Sequence[Place], corner: str) -> Stops | None:
+def stops_at(places: Mapping[str, StopSection], corner: str) -> Stops | None:
     """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
     stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
     pair = stops(stroke, stiffness or 0.0)
@@ -469,13 +444,13 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
         return ""
     names = []
     for name in places_of(corners_of_vehicle):
-        members = [corner for corner in corners_of_vehicle if Place(name).holds(corner)]
-        if {*members} <= {*corners} and not any(Place(other).holds(name) for other in names):
+        members = [corner for corner in corners_of_vehicle if holds(name, corner)]
+        if {*members} <= {*corners} and not any(holds(other, name) for other in names):
             names.append(name)
     return f" ({', '.join(names)})"
 
 
-def _said(places: Sequence[Place], corner: str, key: str) -> Any:
+def _said(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
     """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
-    places_with_key = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
-    return getattr(max(places_with_key, key=lambda place: len(place.name)), key) if places_with_key else None
+    values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
+    return values.get(max(values, key=len, default=""))

@@ -31,7 +31,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing
-from models.common.schema import HERE, SI, SMALLEST, Choice, Key, Section, read
+from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
@@ -149,24 +149,14 @@ class Damper:
         return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
-@dataclass(frozen=True)
-class Coefficient(Key):
-    """A coefficient of a damper, or the table of its force over velocity."""
+def _coefficient(setting: str, low: float) -> ReadBy:
+    """Returns the key of a damper's coefficient at a setting, or of the table of its force over velocity."""
+    number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)
 
-    meaning: str
-    low: float = SMALLEST
-    unit: str = "N s/m"
+    def read(value: Any, context: Mapping[str, Any]) -> float | ForceCurve:
+        return curve_of(HERE, value, VELOCITY) if isinstance(value, Mapping) else number.read(value, context)
 
-    def read(self, value: Any, context: Mapping[str, Any]) -> "float | ForceCurve":
-        """Returns the coefficient, or the curve."""
-        if not isinstance(value, Mapping):
-            return SI(self.unit, low=self.low).number(HERE, value)
-        return curve_of(HERE, value, VELOCITY)
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a number, or of a table."""
-        return {"anyOf": [SI(self.unit, low=self.low).json, {"type": "object"}]}
+    return ReadBy(number.meaning, read, number.unit, {"anyOf": [number.json, {"type": "object"}]})
 
 
 @dataclass(frozen=True)
@@ -174,8 +164,8 @@ class ActuatorSection(Section):
     """`[actuators]` of a vehicle file, with the keys of all suspensions, or of one."""
 
     kind: Annotated[str, Choice("`force` for actuators that push, `damper` for semi-active dampers", KINDS)] = KINDS[0]
-    c_min: Annotated[Any, Coefficient("coefficient at the softest setting, or the table of its force", 0.0)] = None
-    c_max: Annotated[Any, Coefficient("coefficient at the firmest setting, or the table of its force")] = None
+    c_min: Annotated[Any, _coefficient("softest", 0.0)] = None
+    c_max: Annotated[Any, _coefficient("firmest", SMALLEST)] = None
     bandwidth: Annotated[float, SI("rad/s", "corner frequency of the valve, a first-order lag of the coefficient")] | None = None
 
     def __post_init__(self) -> None:

@@ -24,28 +24,24 @@ def check_integrals(
     """
     if not entry.linear:
         return
-    weighed = next(iter(integrals)).removeprefix("integral_of_")
-    where = f"[controllers.{entry.name}] cannot be combined with the integral of {weighed} in [performance]:"
-    if sampled or entry.sampled:
-        raise InputError(f"{where} {SAMPLED}; omit sampled")
-    if entry.study:
-        raise InputError(f"{where} the law measures heights above a flat datum, which cannot return the integral to zero")
-    if entry.goals is not None:
-        raise InputError(f"{where} goals are for static gains, which contain no integral; give a design or an order instead")
-    if entry.errors is not None:
-        raise InputError(
-            f"{where} tolerance has an error that depends on frequency; give this error as a number, or omit the pole at 0"
-        )
-    if entry.stable:
-        raise InputError(f"{where} the law then has an integrator, so the law alone is not stable; omit stable")
-    if entry.structure is not None and (entry.structure.kind or entry.structure.rows is not None):
-        raise InputError(f"{where} a law with a structure has no state for it; give order = 2 without structure, or a design")
-    noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
+    structure, noisy = entry.structure, dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
     if entry.design == "lqg":
         noisy |= {name: rms for name, rms in heard.items() if name in entry.measured}
-    for terms in integrals.values():
-        if set(terms) <= set(entry.measured) and (louder := [name for name in terms if noisy.get(name)]):
-            raise InputError(
-                f"{where} the law would also integrate the noise on {louder[0]}, so there is no finite norm; omit this noise, "
-                "or give a filter without a pole at 0"
-            )
+    # Only a law that measures the whole integrated signal integrates the noise on this signal.
+    integrated = [name for terms in integrals.values() if {*terms} <= {*entry.measured} for name in terms if noisy.get(name)]
+    refused = {
+        f"{SAMPLED}; omit sampled": sampled or entry.sampled,
+        "the law measures heights above a flat datum, which cannot return the integral to zero": entry.study,
+        "goals are for static gains, which contain no integral; give a design or an order instead": entry.goals is not None,
+        "tolerance has an error that depends on frequency; give this error as a number, or omit the pole at 0": entry.errors,
+        "the law then has an integrator, so the law alone is not stable; omit stable": entry.stable,
+        "a law with a structure has no state for it; give order = 2 without structure, or a design": (
+            structure is not None and (structure.kind or structure.rows is not None)
+        ),
+        f"the law would also integrate the noise on {''.join(integrated[:1])}, so there is no finite norm; omit this noise, or "
+        "give a filter without a pole at 0": integrated,
+    }
+    integral = f"the integral of {next(iter(integrals)).removeprefix('integral_of_')} in [performance]"
+    for why, holds in refused.items():
+        if holds:
+            raise InputError(f"[controllers.{entry.name}] cannot be combined with {integral}: {why}")

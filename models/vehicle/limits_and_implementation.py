@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import rough
-from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, Key, Section, read
+from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
-from models.suspension import STOP_KEYS, STOP_NAMES
-from models.suspension.bump_stops import Place, StopSection, read_places
+from models.suspension import STOP, STOP_KEYS, STOP_NAMES
+from models.suspension.bump_stops import StopPair, StopSection, read_places, stop_words, stops_at
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Stiffness, StopPair, Stops
+    from models.suspension.bump_stops import Stops
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
@@ -30,27 +30,32 @@ NO_PERIOD = (
 
 
 @dataclass(frozen=True)
-class Limits:
+class LimitsSection(StopSection):
+    """`[limits]` of a vehicle file, without the sections of corners."""
+
+    actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
+    actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
+    limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.limit is not None and self.actuator_force is None:
+            raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
+
+
+@dataclass(frozen=True)
+class Limits(LimitsSection):
     """Limits of the hardware. None means: no such limit.
 
     Attributes:
-        suspension_stroke: travel either way before the bump stop [m], or one for each side.
-        stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or its table, or these for
-            each side.
-        actuator_force: largest force [N].
-        actuator_bandwidth: corner frequency of the first-order lag from the requested force to the force [rad/s].
-        limit: `"command"` limits the requested force before the lag, `"force"` the force behind the lag; None means `"force"`.
-        places: the axles and corners with other stops.
+        places: names of axles and corners with other stops, each with the keys of its own.
     """
 
     given_as = "limits, such as vehicle.limits"
 
-    suspension_stroke: "float | StopPair | None" = None
-    stop_stiffness: "Stiffness | StopPair | None" = None
-    actuator_force: float | None = None
-    actuator_bandwidth: float | None = None
-    limit: str | None = None
-    places: "tuple[Place, ...]" = ()
+    places: tuple[tuple[str, StopSection], ...] = ()
 
     @property
     def stopped(self) -> bool:
@@ -59,11 +64,7 @@ class Limits:
 
     def stops_at(self, corner: str) -> "Stops | None":
         """Returns the bump stops of a corner, or None if it has no stops."""
-        if not self.stopped:
-            return None
-        from models.suspension.bump_stops import Place, stops_at
-
-        return stops_at((Place("", self.suspension_stroke, self.stop_stiffness), *self.places), corner)
+        return stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, Stops]":
         """Returns the bump stops of a vehicle's suspensions, by deflection, without those that have no stops."""
@@ -73,28 +74,20 @@ class Limits:
     @property
     def written(self) -> dict[str, str]:
         """The given limits as in a vehicle file, by key; values of one side by `key.side`."""
-        given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
-        if not self.stopped:
-            return {name: _text(value) for name, value in given.items()}
-        from models.suspension.bump_stops import StopPair
-
-        for place in self.places:
-            given |= {f"{place.name}.{key}": getattr(place, key) for key in STOP_KEYS if getattr(place, key) is not None}
-        flat = {}
+        given = {name: value for name, value in vars(self).items() if name != "places"}
+        given |= {f"{place}.{key}": getattr(one, key) for place, one in self.places for key in STOP_KEYS}
+        flat = dict[str, Any]()
         for name, value in given.items():
-            flat |= (
-                {f"{name}.{side}": one_side for side, one_side in vars(value).items() if one_side is not None}
-                if isinstance(value, StopPair)
-                else {name: value}
-            )
-        return {name: _text(value) for name, value in flat.items()}
+            one_each = isinstance(value, StopPair)
+            flat |= {f"{name}.{side}": one for side, one in vars(value).items()} if one_each else {name: value}
+        return {name: _text(value) for name, value in flat.items() if value is not None}
 
     @property
     def record(self) -> dict[str, Any]:
         """The limits as a section that `read_limits` reads; None for limits that are not given. `limit` is then left out."""
-        limits = {name: value for name, value in asdict(self).items() if name != "limit" or value is not None}
-        places = limits.pop("places")
-        return limits | {place.pop("name"): {key: v for key, v in place.items() if v is not None} for place in places}
+        limits = asdict(self)
+        places = {name: {key: one for key, one in place.items() if one is not None} for name, place in limits.pop("places")}
+        return {name: one for name, one in limits.items() if one is not None or name not in ("limit", STOP)} | places
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
@@ -128,8 +121,6 @@ class Limits:
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []
         if self.stopped:
-            from models.suspension.bump_stops import stop_words
-
             phrases += stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
@@ -139,7 +130,7 @@ class Limits:
         return tuple(phrases)
 
 
-def _text(value: "float | Stiffness | str") -> str:
+def _text(value: Any) -> str:
     """Returns a value of `[limits]` as in a vehicle file."""
     if isinstance(value, tuple):
         return f"[{', '.join(f'{k:g}' for k in value)}]"
@@ -157,22 +148,14 @@ def delay_text(delay: float) -> str:
     return f"{samples(delay)} late"
 
 
-@dataclass(frozen=True)
-class Samples(Key):
-    """Delay in samples of the controller, as an int if it is an integer."""
+def _delay(value: Any, context: Mapping[str, Any]) -> float:
+    """Returns a delay in samples of the controller, as an int if it is an integer."""
+    if not is_finite(value) or not 0 <= value <= MOST_DELAY:
+        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
+    return int(value) if value == int(value) else value
 
-    meaning: str = "delay from a measurement to the force computed from it, in samples, or as a time"
 
-    def read(self, value: Any, context: Mapping[str, Any]) -> float:
-        """Returns the number of samples."""
-        if not is_finite(value) or not 0 <= value <= MOST_DELAY:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
-        return int(value) if value == int(value) else value
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the delay."""
-        return SI("s", low=0, high=MOST_DELAY).json
+LATE = "delay from a measurement to the force computed from it, in samples, or as a time"
 
 
 @dataclass(frozen=True)
@@ -182,7 +165,7 @@ class Implementation(Section):
     given_as = "an implementation, such as vehicle.implementation"
 
     sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
-    delay: Annotated[float, Samples()] = 0
+    delay: Annotated[float, ReadBy(LATE, _delay, allowed=SI("s", low=0, high=MOST_DELAY).json)] = 0
     noise: Annotated[Mapping[str, float], BySignal("rms of the white noise on measured signals")] = field(default_factory=dict)
     quantisation: Annotated[Mapping[str, float], BySignal("resolution of measured signals")] = field(default_factory=dict)
     seed: Annotated[int, Integer("seed of the noise")] = 0
@@ -243,22 +226,6 @@ class Implementation(Section):
         return tuple(phrases)
 
 
-@dataclass(frozen=True)
-class LimitsSection(StopSection):
-    """`[limits]` of a vehicle file, without the sections of corners."""
-
-    actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
-    actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
-    limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
-        None
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.limit is not None and self.actuator_force is None:
-            raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
-
-
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
     """Reads `[limits]`.
 
@@ -267,14 +234,12 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     """
     own = {name: one for name, one in section.items() if isinstance(one, Mapping) and name not in STOP_NAMES}
     common = read("[limits]", LimitsSection, {name: one for name, one in section.items() if name not in own})
-    places, corners = (common.place(""),), [part.corner for part in suspensions]
-    if own or places[0] != Place(""):
-        if not corners:
-            raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
-        places = read_places(common, own, corners)
-    of_all, *places = places
-    actuators = common.actuator_force, common.actuator_bandwidth, common.limit
-    return Limits(of_all.suspension_stroke, of_all.stop_stiffness, *actuators, tuple(places))
+    limits, corners = Limits(**vars(common)), [part.corner for part in suspensions]
+    if not (own or limits.stopped):
+        return limits
+    if not corners:
+        raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
+    return replace(limits, places=tuple(read_places(common, own, corners).items()))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from models.common.schema import SI, Section, read
 from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
-from models.suspension.bump_stops import SIDES, Place, StopPair
+from models.suspension.bump_stops import SIDES, StopPair, StopSection
 from models.suspension.curve import ForceCurve
 from models.suspension.surface import ForceSurface
 from models.vehicle.limits_and_implementation import Limits
@@ -114,7 +114,7 @@ def _sunk(
     if not stops:
         return limits
     rest = np.linalg.solve(model.A, -model.Bl @ np.array([load.get(name, 0.0) for name in model.loads]))
-    common, places = limits, []
+    common, places = limits, dict(limits.places)
     for part in kind.suspensions:
         if part.deflection not in stops:
             continue
@@ -130,7 +130,7 @@ def _sunk(
         strokes = StopPair(*(left[side] if side in pair.sides else None for side in SIDES))
         stiffness = StopPair(*(getattr(pair, side).stiffness if side in pair.sides else None for side in SIDES))
         if part.corner:
-            places.append(Place(part.corner, strokes, stiffness))
+            places[part.corner] = StopSection(strokes, stiffness)
         else:
             common = replace(common, suspension_stroke=strokes, stop_stiffness=stiffness)
-    return replace(common, places=(*(one for one in limits.places if one.name not in {new.name for new in places}), *places))
+    return replace(common, places=tuple(places.items()))

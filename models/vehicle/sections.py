@@ -2,22 +2,21 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from models.common.checks import is_finite, number_within
+from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
-from models.common.schema import HERE, SI, AnyTable, read
+from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.laws.goals import Goals
     from models.suspension.bump_stops import Stops
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
@@ -63,26 +62,24 @@ class Weight(SI):
         """Returns the weight; `what` names it in the message."""
         least = 0.0 if is_finite(value) and value == 0 else SMALLEST_WEIGHT
         more = ', or 0, or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
-        return number_within(what, value, least, self.high, self.unit, more)
+        return SI(self.unit, "", least, self.high, more).number(what, value)
 
 
+FACTORS = "factors of the signals in a weighted sum"
 WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
 
 
-class Terms(AnyTable):
-    """Factors of signals in a sum. The context of the reader has `outputs`, the names of the signals."""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> dict[str, float]:
-        """Returns the factors by signal."""
-        outputs = context["outputs"]
-        if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
-            raise InputError(
-                f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
-                f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
-            )
-        if unknown := [signal for signal in value if signal not in outputs]:
-            raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
-        return {signal: float(one) for signal, one in value.items()}
+def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+    """Returns the factors of signals in a sum. The context has `outputs`, the names of the signals."""
+    outputs = context["outputs"]
+    if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
+        raise InputError(
+            f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
+            f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
+        )
+    if unknown := [signal for signal in value if signal not in outputs]:
+        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
+    return {signal: float(one) for signal, one in value.items()}
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ class WeightSection(FilterSection):
     integrates: ClassVar[bool] = True
 
     weight: Annotated[float, WEIGHT] = 1.0
-    sum: Annotated[Mapping[str, float], Terms("factors of the signals in a weighted sum")] | None = None
+    sum: Annotated[Mapping[str, float], ReadBy(FACTORS, _terms, allowed={"type": "object"})] | None = None
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -154,16 +151,6 @@ def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     from models.vehicle.in_place import with_contents
 
     return with_contents(text, folder)
-
-
-def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
-    """Returns the files of roads in goals' bounds."""
-    roads = [road for goal in goals if goal is not None for road in goal.roads]
-    if not roads:
-        return []
-    from models.vehicle.names import named_files
-
-    return named_files(roads)
 
 
 def curves_and_parameters(
@@ -378,13 +365,3 @@ def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]
                 said = f"{part.ratio}: its table ends at {sign * end:g} m, but {begins}; the ratio is constant beyond the table"
                 doubts[f"{said}, so extend the table to the stop"] = None
     return list(doubts)
-
-
-def dampers_of(
-    section: Mapping[str, Any], controllers: Mapping[str, Any], corners: Mapping[str, str], limits: "Limits"
-) -> "dict[str, Damper]":
-    """Reads `[actuators]`: the adjustable dampers, by the force that each replaces."""
-    from models.suspension.damper import read_actuators
-
-    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in controllers.values())
-    return read_actuators(section, corners, () if forced else limits.of_actuators)

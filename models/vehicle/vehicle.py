@@ -30,17 +30,16 @@ from models.vehicle.limits_and_implementation import (
     check_period,
     read_limits,
 )
-from models.vehicle.names import WITHOUT
+from models.vehicle.names import WITHOUT, named_files
 from models.vehicle.sections import (
+    PUSHING,
     WeightedSum,
     check_weights,
     curve_notes,
     curves_and_parameters,
-    dampers_of,
     known_quantities,
     ratio_doubts,
     read_performance,
-    road_files,
     settled,
     suspension_doubts,
     whole_text,
@@ -484,16 +483,12 @@ class Vehicle(Shown):
         return np.ones(len(omega), dtype=complex) if self.road_filter is None else self.road_filter.response(omega)
 
     @property
-    def kind_files(self) -> tuple[Path, ...]:
-        """Files of its kind."""
-        return self.kind.mjcf, self.kind.mjcf.with_suffix(".py")
-
-    @property
     def files(self) -> tuple[Path, ...]:
         """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
-        return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
+        roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)
+        return (*own, *laws, *roads, self.kind.mjcf, self.kind.mjcf.with_suffix(".py"))
 
     @property
     def unladen(self) -> "Vehicle":
@@ -656,12 +651,17 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
         parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
-    section, corners = ImplementationSection(), vehicle_kind.corners
+    implementation, sampled, corners = Implementation(), False, vehicle_kind.corners
     if given.implementation:
         units = {name: vehicle_kind.possible[name].unit for name in model.measurable}
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
-    implementation, sampled = section.implementation, section.sampled
-    dampers = dampers_of(given.actuators, given.controllers, corners, limits) if given.actuators else {}
+        implementation, sampled = section.implementation, section.sampled
+    dampers = dict[str, "Damper"]()
+    if given.actuators:
+        from models.suspension.damper import read_actuators
+
+        forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
+        dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)
     endings = {force: ending for force, ending in corners.items() if force in dampers}
     controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)

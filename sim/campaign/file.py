@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import HERE
 from models.common.command import remarked
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import parse_toml, path_from, read_text
-from models.common.checks import HERE
-from models.common.schema import MOST_SEED, SI, AnyTable, Integer, Key, Listed, Section, Text, read
+from models.common.schema import MOST_SEED, SI, AnyTable, Integer, Listed, ReadBy, Section, Text, read
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.description import read_road
 from models.roads.obstacles import OBSTACLES
@@ -33,30 +33,20 @@ Texts = tuple[str, ...]
 MEASURED = {Profile: ("distance", "heights"), Rig: ("time", "heights"), Surface: ("u", "v", "z")}  # roads of files: their points
 
 
-@dataclass(frozen=True)
-class Seeds(Key):
-    """Seeds of random roads."""
-
-    meaning: str = "seeds of the random roads, or their number; other roads run once"
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-        """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
-        if not isinstance(value, list) or not value:
-            return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
-        return Listed("", Integer("", high=MOST_SEED)).read(value, context)
+def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
+    """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
+    if not isinstance(value, list) or not value:
+        return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
+    return Listed("", Integer("", high=MOST_SEED)).read(value, context)
 
 
-@dataclass(frozen=True)
-class RoadText(Key):
-    """A road as a text, or as a table whose `type` is the kind of road."""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> str:
-        """Returns the text."""
-        if isinstance(value, Mapping):
-            if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
-                read_road(HERE, value)
-            value = ":".join([value["type"], *(f"{name}={one}" for name, one in value.items() if name != "type")])
-        return Text().read(value, context)
+def _road(value: Any, context: Mapping[str, Any]) -> str:
+    """Returns the text of a road from a text, or from a table whose `type` is the kind of road."""
+    if isinstance(value, Mapping):
+        if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
+            read_road(HERE, value)
+        value = ":".join([value["type"], *(f"{name}={one}" for name, one in value.items() if name != "type")])
+    return Text().read(value, context)
 
 
 @dataclass(frozen=True)
@@ -65,9 +55,9 @@ class CampaignFile(Section):
 
     vehicles: Annotated[Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles")]
     controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all")]
-    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", RoadText())]
+    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road))]
     speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0))]
-    seeds: Annotated[tuple[int, ...], Seeds()] = (0,)
+    seeds: Annotated[tuple[int, ...], ReadBy("seeds of the random roads, or their number; other roads run once", _seeds)] = (0,)
     duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
     settle: Annotated[float, SI("s", "beginning of a run over a random road that is not measured", 0.0, 1e6)] | None = None
     timestep: Annotated[float, SI("s", "timestep of the simulation", 0.0, 1.0)] = 1e-3
@@ -181,7 +171,9 @@ def _parse(text: str, folder: Path) -> Campaign:
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        remarked(with_sample(vehicle, campaign.samples[name][0]))  # a distribution in another unit is wrong in its first sample, too
+        remarked(
+            with_sample(vehicle, campaign.samples[name][0])
+        )  # a distribution in another unit is wrong in its first sample, too
     return campaign
 
 

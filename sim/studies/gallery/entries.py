@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import parse_toml
-from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Key, Listed, Section, Tables, Text, read
+from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Listed, ReadBy, Section, Subsection, Text, read
 from models.kinds import kind
 from models.roads.description import read_road
 from models.roads.road import Bump, Road
@@ -44,17 +44,11 @@ SOURCES = (
 )
 
 
-@dataclass(frozen=True)
-class RoadTable(Key):
-    """A road as a table; without its `type` it is a bump, or with an `edge` a step."""
-
-    meaning: str = ""
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> Road:
-        """Returns the road."""
-        if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
-        return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
+def _road(value: Any, context: Mapping[str, Any]) -> Road:
+    """Returns the road of a table; without its `type` it is a bump, or with an `edge` a step."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
+    return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ class PrintedNumber(Section):
     signal: Annotated[str, Text("output signal")] = ""
     at: Annotated[tuple[int, ...], Listed("row and column of an entry of a matrix, from 0; a scalar has none", Integer())] = ()
     hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
-    road: Annotated[Road, RoadTable("a road; without its `type` a bump, or with an `edge` a step")] = PAPER_BUMP
+    road: Annotated[Road, ReadBy("a road; without its `type` a bump, or with an `edge` a step", _road)] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
     timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
     band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
@@ -107,6 +101,9 @@ class MissingNumber(Section):
     source: Annotated[str, Choice("entry of `SOURCES` without any number for this reason, if it has no others", SOURCES)] = ""
 
 
+NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one in (PrintedNumber, MissingNumber))
+
+
 @dataclass(frozen=True)
 class Entry(Section):
     """Source and its numbers."""
@@ -115,8 +112,8 @@ class Entry(Section):
     title: Annotated[str, Text("title of the publication")]
     source: Annotated[str, Text("reference or address")]
     licence: Annotated[str, Text("licence, and the parts that are copied here")]
-    printed: Annotated[tuple[PrintedNumber, ...], Tables("the numbers that can be compared", PrintedNumber)] = ()
-    missing: Annotated[tuple[MissingNumber, ...], Tables("numbers that cannot be compared", MissingNumber)] = ()
+    printed: Annotated[tuple[PrintedNumber, ...], Listed("the numbers that can be compared", NUMBERS, least=0)] = ()
+    missing: Annotated[tuple[MissingNumber, ...], Listed("numbers that cannot be compared", REASONS, least=0)] = ()
     about: Annotated[str, Text("description in a sentence")] = ""
     sources: Annotated[tuple[str, ...], Listed("entries of `SOURCES` with numbers in it", Choice("", SOURCES))] = ()
 
