@@ -358,13 +358,8 @@ def test_a_table_that_is_none(table, said):
         with_curves(**{name: table})
 
 
-def test_what_curves_cannot_stand_in_for():
-    """A curve of neither a stiffness nor a damping, of one that is also a number, or of a million points is refused."""
-    text = curved_text(suspension_damping=DIGRESSIVE)
-    with pytest.raises(InputError, match="suspension_damping is in both \\[parameters\\] and \\[curves\\]"):
-        parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
-    with refused("'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"):
-        with_curves(sprung_mass=DIGRESSIVE)
+def test_too_many_points():
+    """A curve of a million points is refused."""
     with pytest.raises(InputError, match=r"velocity has 1000000 value.* at most 20000"):
         damper(np.linspace(-1, 1, 1_000_000).tolist(), [0.0, 1.0])
 
@@ -443,6 +438,7 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "which direction is positive? Write"),
         ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be thousands; write"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]'; which direction is positive? Write"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),

@@ -19,7 +19,7 @@ from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
-from models.roads.load_choice import History, choose_load, parse_history
+from models.roads.load_choice import History, choose_load
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.roads.road import Bump, RoadInput, delays, under_wheels
@@ -35,7 +35,7 @@ from sim.runs.report import LOST, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
-from tests.support.commands import attacks, in_the_suite, once, prose, refused
+from tests.support.commands import attacks, in_the_suite, once, prose
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.support.shared import designed
 
@@ -306,29 +306,6 @@ def test_a_file_is_its_numbers(tmp_path):
     assert brake == choose_load("brake")
     half = load.scaled(0.5).over(np.array([0.5]), {})
     assert half["pitch_load"] == 750.0
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", ["is empty", "time [s]"]),
-        ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s, but heave is not 0", "begin at 0 s"]),
-        ("time, pitch\n0, 0\n1, 1\n", ["column 1, 'time', has no unit (allowed: ms, s); write the heading time [s]"]),
-        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["column 2, 'pitch [N]', has the unit 'N' (allowed: N m, kN m"]),
-        (
-            "time [s], yaw [N m]\n0, 0\n1, 1\n",
-            ["column 2 is called 'yaw [N m]', which is not one of heave (positive: up), pitch (positive: nose down)"],
-        ),
-        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["two columns are called 'pitch'; remove one"]),
-        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["only the columns pitch, roll"]),
-        ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "time 1 s is not after", "sort"]),
-        ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 row(s)", "to 20000"]),
-    ],
-)
-def test_bad_files_are_refused(text, words):
-    """A file that is no load is refused in one line that names the line and what is allowed."""
-    with refused("pull.csv", *words):
-        parse_history(text, "pull.csv")
 
 
 def drive(folder, capsys, *arguments):

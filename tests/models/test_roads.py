@@ -524,6 +524,7 @@ def test_what_is_written_is_read(tmp_path):
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give columns"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), but line 1 has 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
         ("0,0\n", "a profile needs at least 2 points, but has 1"),

@@ -152,6 +152,8 @@ def test_numbers(section, name, key):
     numbers += [number.high + max(1, number.high)] * math.isfinite(number.high)
     cases = [(wrong, rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}") for wrong in numbers]
     cases.append(("a\nb", rf"{name}\S* = 'a\\nb' is not (allowed; give an? |a number; give a )\w+"))
+    if "boolean" not in str(key.json):
+        cases.append((True, rf"{name}\S* = True is not (allowed; give an? |a number; give a )\w+"))
     if isinstance(number, SI) and number.unit:
         expected = f"a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
         cases.append(("3 A", rf"{name}\S* = '3 A' has the unknown unit 'A', but {expected}"))

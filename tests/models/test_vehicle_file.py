@@ -63,6 +63,7 @@ OF_CARS = [  # vehicle, replaced in its file, by this, what the message says
 VELOCITY = '[controllers.mine]\nmeasured = ["sprung_velocity"]'
 SAMPLED = "[implementation]\nsample_period = 0.01"
 BOTH = f"[controllers.mine]\n{MINE}"
+LINE = "{ velocity = [-1.0, 1.0], force = [-9.0, 9.0] }"
 RATIO = "motion_ratio = { deflection = [-0.1, 0.1], ratio = [0.7, 0.5] }"
 DAMPER = '[actuators]\nkind = "damper"\nc_min = 1.0\nc_max = 5e3'
 OWN = '[controllers.mine]\nmeasured = ["control_force"]\ngain = [[0.1]]'
@@ -108,6 +109,7 @@ ADDED = {
         ("sprung mass = 500", "not valid TOML", "sprung_mass for"),
         ('[controllers.rig]\nmeasured = ["sprung_displacement"]', "is a height above a flat datum, which no sensor on a car"),
     ],
+    ("quarter_car", "[controllers.mine]"): [('semi_active = "skyhook"', "but control_force has none; give [actuators]")],
     ("quarter_car", "[payload]"): [
         ("mass = 60.0\nx = 0.5", "[payload]", "does not pitch"),
         ("mass = 60.0\ny = 0.5", "[payload]", "--load payload:y="),
@@ -127,6 +129,8 @@ ADDED = {
     ("quarter_car", "[curves]"): [
         (f"{RATIO}\n{DAMPER}\n{OWN}", "which has no sensor for a damper at a motion ratio over travel"),
         (f"{RATIO}\n[payload]\nmass = 5e3", "the equilibrium moves beyond the table"),
+        (f"suspension_damping = {LINE}", "suspension_damping is in both [parameters] and [curves]"),
+        (f"sprung_mass = {LINE}", "'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"),
         (RATIO.replace("0.7, 0.5", "0.3, 2.9"), "changes so fast with travel that the preload"),
     ],
     ("quarter_car", BOTH): [

@@ -38,9 +38,10 @@ def test_a_family_from_a_file(tmp_path):
         assert goals is not None
         assert [dict(member) for member in goals.family] == [{"sprung_mass": a, "tyre_stiffness": b} for a, b in rows]
         assert tmp_path / name in vehicle.files
-    (tmp_path / name).write_text("colour\n1.0\n")
-    with refused("[controllers.goal] family[0]: unknown parameter 'colour'"):
-        read_vehicle(path)
+    for wrong, said in (("colour\n1.0", "family[0]: unknown parameter 'colour'"), ("colour\nx", "give a .toml file")):
+        (tmp_path / name).write_text(wrong)
+        with refused("[controllers.goal]", said):
+            read_vehicle(path)
 
 
 def test_a_given_gain_is_judged_by_its_goals(tmp_path, capsys):
