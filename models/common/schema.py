@@ -23,6 +23,8 @@ from models.common.errors import InputError, alike, error_in, listing, number_ra
 from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
+TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}  # JSON
+WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # of a text that is a number with its unit
 MOST_SEED = 2**63 - 1
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # Pydantic's types of errors of unknown keys
 PLACES = re.compile(HERE + r"((?:\.\w+)*)")  # `read` replaces it by section and key; ".NAME" after it is a key below
@@ -102,7 +104,7 @@ class SI(Key):
     def json(self) -> Mapping[str, Any]:
         """The JSON schema of the number."""
         number = {"type": "number", "minimum": self.low} | ({"maximum": self.high} if self.high < math.inf else {})
-        return {"anyOf": [number, {"type": "string"}]} if self.unit not in ("", "1") else number
+        return {"anyOf": [number, {"type": "string", "pattern": WITH_UNIT}]}
 
 
 @dataclass(frozen=True)

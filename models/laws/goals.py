@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from models.common.checks import is_finite
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.schema import HERE, SI, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
+from models.common.schema import HERE, NUMBER, PAIR, SI, TEXT, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
 from models.common.units import in_unit
 from models.laws.filter import Filter, FilterSection
 
@@ -68,7 +68,10 @@ class NormOf(Section):
     """Norm from the road to weighted signals."""
 
     signals: Annotated[Mapping[str, float], ReadBy("weights by signal, or `performance`", _weighted_signals)] | None = None
-    band: Annotated[tuple[float, float], ReadBy("lowest and highest frequency; default: all", _band, "Hz")] = EVERYWHERE
+    band: Annotated[
+        tuple[float, float],
+        ReadBy("lowest and highest frequency; default: all", _band, "Hz", PAIR),
+    ] = EVERYWHERE
 
     @property
     def narrow(self) -> bool:
@@ -110,7 +113,7 @@ def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
 
 
-AtMost = Annotated[float, ReadBy("largest allowed magnitude, in the unit of the signal", _magnitude)]
+AtMost = Annotated[float, ReadBy("largest allowed magnitude, in the unit of the signal", _magnitude, allowed=NUMBER)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +127,7 @@ class NormBound(NormOf):
 class PeakBound(Section):
     """Upper bound on a signal's largest magnitude over a road."""
 
-    peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal)]
+    peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal, allowed=TEXT)]
     at_most: AtMost
     road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
     speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
@@ -134,7 +137,9 @@ class PeakBound(Section):
 class EnergyBound(Section):
     """Upper bound on a signal's largest magnitude over all roads of given energy."""
 
-    energy_peak: Annotated[str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal)]
+    energy_peak: Annotated[
+        str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal, allowed=TEXT)
+    ]
     at_most: AtMost
     energy: Annotated[float, SI("m2/s", "integral of the squared velocity under all wheels together", SMALLEST)] = 1.0
 

@@ -25,6 +25,8 @@ from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
 ITS_GAINS = "designed gains: "  # begins the remark on a PI or PID law that is designed
+ORDER = {"anyOf": [{"enum": [STATIC, FULL]}, {"type": "integer", "minimum": 0, "maximum": MOST_STATES}]}
+GAIN = {"type": ["number", "array"]}
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
@@ -92,9 +94,9 @@ def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
 class PidSection(Section):
     """Numbers of a PI or PID law."""
 
-    kp: Annotated[tuple[float, ...], ReadBy("proportional gain, one for all forces, or one for each", _gains)] = ()
-    ki: Annotated[tuple[float, ...], ReadBy("integral gain", _gains)] = ()
-    kd: Annotated[tuple[float, ...], ReadBy("derivative gain", _gains)] = ()
+    kp: Annotated[tuple[float, ...], ReadBy("proportional gain, one for all forces, or one for each", _gains, allowed=GAIN)] = ()
+    ki: Annotated[tuple[float, ...], ReadBy("integral gain", _gains, allowed=GAIN)] = ()
+    kd: Annotated[tuple[float, ...], ReadBy("derivative gain", _gains, allowed=GAIN)] = ()
     filter: Annotated[float, SI("s", "time constant of the derivative's low-pass filter", high=1e3)] | None = None
 
 
@@ -116,7 +118,7 @@ def is_order(value: object) -> bool:
 class StructureSection(Goals):
     """Keys of a controller's section that give the structure of a law, with those of its goals."""
 
-    order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order)] | None = None
+    order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order, allowed=ORDER)] | None = None
     pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:

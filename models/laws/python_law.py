@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.files import origin, read_bytes, read_text
-from models.common.schema import HERE, SI, ReadBy, Section
+from models.common.schema import HERE, SI, TEXT, ReadBy, Section
 from models.laws.law import ControlLaw
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
@@ -218,9 +218,15 @@ def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
 class ProgramSection(Section):
     """Keys of a controller's section with a law in Python or an FMU."""
 
-    law: Annotated[str, ReadBy("law in Python, `FILE.py:NAME`", partial(_beside, LAW, f"a law in Python; {GIVE}"))] | None = None
+    law: (
+        Annotated[
+            str,
+            ReadBy("law in Python, `FILE.py:NAME`", partial(_beside, LAW, f"a law in Python; {GIVE}"), allowed=TEXT),
+        ]
+        | None
+    ) = None
     preview: Annotated[float, AHEAD] | None = None
-    fmu: Annotated[str, ReadBy("FMU that is a law", partial(_beside, FMU, f"an FMU; {GIVE_FMU}"))] | None = None
+    fmu: Annotated[str, ReadBy("FMU that is a law", partial(_beside, FMU, f"an FMU; {GIVE_FMU}"), allowed=TEXT)] | None = None
     inputs: Annotated[Mapping[str, str], ReadBy("signals by the names of an FMU's inputs", _variables)] | None = None
     outputs: Annotated[Mapping[str, str], ReadBy("forces by the names of an FMU's outputs", _variables)] | None = None
 

@@ -309,7 +309,7 @@ class StopStiffness(Key):
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
         from models.suspension.curve_reading import StopTableSection
 
-        return {"anyOf": [number, several, json_schema(StopTableSection)]}
+        return {"anyOf": [number, several, json_schema(StopTableSection), {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
 
 
 @dataclass(frozen=True)

@@ -191,22 +191,26 @@ def _gain(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ..
     return rows
 
 
+NAMES = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SignalSection(Demands):
     """The measured signals, which other keys of a controller's section refer to."""
 
-    measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured)] = ()
+    measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured, allowed=NAMES)] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, SignalSection):
     """`[controllers.NAME]` of a vehicle file."""
 
-    gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain)] = None
-    A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix)] = None
-    B: Annotated[Any, ReadBy("input matrix of the law", _matrix)] = None
-    C: Annotated[Any, ReadBy("output matrix of the law", _matrix)] = None
-    D: Annotated[Any, ReadBy("feedthrough of the law", _matrix)] = None
+    gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
+    A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix, allowed=ROWS)] = None
+    B: Annotated[Any, ReadBy("input matrix of the law", _matrix, allowed=ROWS)] = None
+    C: Annotated[Any, ReadBy("output matrix of the law", _matrix, allowed=ROWS)] = None
+    D: Annotated[Any, ReadBy("feedthrough of the law", _matrix, allowed=ROWS)] = None
     sample_period: Annotated[float, SI("s", "sample period of a discrete law", high=LONGEST_PERIOD)] | None = None
     file: Annotated[str, Text("MATLAB file with the law, next to the vehicle file")] | None = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None

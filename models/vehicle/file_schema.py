@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from models.common.schema import Section, described, json_schema
+from models.common.schema import NUMBER, Section, described, json_schema
 from models.laws.filter import FilterSection
 from models.suspension.bump_stops import StopSection, places_of
 from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
@@ -15,7 +15,7 @@ from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import ROAD, WEIGHT, WeightSection
 from models.vehicle.vehicle import VehicleFile, kind
 
-TABLE, NUMBER = {"type": "object"}, {"type": ["number", "string"]}
+TABLE = {"type": "object"}
 WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
 
 
@@ -29,9 +29,13 @@ def file_schema(name: str) -> dict[str, Any]:
     parameters = {one.name: described(one.number.json, one.meaning, one.unit) for one in known.parameters}
     corners = [part.corner for part in known.suspensions]
     payload, implementation = json_schema(PayloadSection), json_schema(ImplementationSection)
+    of_road = {name for wheel in known.wheels for name in (wheel.road_displacement, wheel.road_velocity)}
+    signals = [name for name in known.possible if name not in of_road]
     for key in ("noise", "quantisation"):
         one = implementation["properties"][key]
-        one |= {"properties": dict.fromkeys(known.possible, one.pop("additionalProperties"))}
+        one |= {"properties": dict.fromkeys(signals, one["additionalProperties"]), "additionalProperties": False}
+    controller = json_schema(ControllerSection)
+    controller["properties"]["measured"] |= {"items": {"anyOf": [{"enum": signals}, {"type": "string"}]}}
     weights = {one.name: described(WEIGHTED, one.meaning, one.unit) for one in known.possible.values()}
     tables = {"damping": (DamperTable, SurfaceTable), "stiffness": (SpringTable,), "ratio": (RatioSection,)}
     curves = {
@@ -40,15 +44,16 @@ def file_schema(name: str) -> dict[str, Any]:
         for of, sections in tables.items()
         if getattr(part, of) and (schemas := [json_schema(one) for one in sections])
     }
+    needed = [one.name for one in known.parameters if one.usual is None and not one.optional and one.name not in curves]
     sections = {
-        "parameters": TABLE | {"properties": parameters, "additionalProperties": False},
+        "parameters": TABLE | {"properties": parameters, "required": needed, "additionalProperties": False},
         "performance": TABLE | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},
-        "controllers": TABLE | {"additionalProperties": json_schema(ControllerSection)},
+        "controllers": TABLE | {"additionalProperties": controller},
     }
     file = json_schema(VehicleFile)
     file["properties"] |= {"type": {"const": name}, **sections}

@@ -89,7 +89,7 @@ Entries = Mapping[str, Any]
 class VehicleFile(Section):
     """The sections of a vehicle file. Each is read by its own reader."""
 
-    type: Annotated[str, Text("vehicle type; `roadproof new` writes a file of each", ', as in type = "quarter_car"')]
+    type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
     performance: Annotated[Entries, AnyTable("weights of signals, as `roadproof new` writes them")]
     controllers: Annotated[Entries, AnyTable("controllers by name")] = field(default_factory=dict)
@@ -98,13 +98,6 @@ class VehicleFile(Section):
     curves: Annotated[Entries, AnyTable("curves of springs, dampers and motion ratios")] = field(default_factory=dict)
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
-
-    @classmethod
-    def prepared(cls, given: Entries) -> Entries:
-        """Returns the file, which has a type."""
-        if "type" not in given:
-            raise InputError(f'type is missing; write type = "{kinds()[-1]}" above the first section; known: {listing(kinds())}')
-        return given
 
 
 SECTIONS = tuple(keys(VehicleFile))

@@ -171,9 +171,7 @@ def _parse(text: str, folder: Path) -> Campaign:
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        remarked(
-            with_sample(vehicle, campaign.samples[name][0])
-        )  # a distribution in another unit is wrong in its first sample, too
+        remarked(with_sample(vehicle, campaign.samples[name][0]))  # which shows a distribution in another unit
     return campaign
 
 

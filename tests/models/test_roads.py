@@ -636,7 +636,7 @@ def test_description_is_enough(road):
 @pytest.mark.parametrize(
     ("description", "message"),
     [
-        ({}, "type = None is unknown; known types are bump, chirp"),
+        ({}, "has no type; give one of bump, chirp"),
         ({"type": "bump", "height": 0.1}, "road bump: length is missing"),
         ({**Bump().describe(), "factor": "a"}, "road bump: factor = 'a' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": "1"}, "roughness = '1' is not allowed; give a number"),
