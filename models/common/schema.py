@@ -7,15 +7,15 @@
 
 From this declaration follow the reader of the section and the message for wrong input (`read`), the record of the section in logs
 (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`). `models.common.checks` reads the same
-annotations for public functions. Pydantic reads the files, and is imported with the first one, so a section can be made, sampled
-and pickled without pydantic.
+annotations for public functions.
 """
 
 import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from contextlib import contextmanager
+from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import HERE, is_finite
@@ -26,7 +26,6 @@ SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mista
 TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}  # JSON
 WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # of a text that is a number with its unit
 MOST_SEED = 2**63 - 1
-UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # Pydantic's types of errors of unknown keys
 PLACES = re.compile(HERE + r"((?:\.\w+)*)")  # `read` replaces it by section and key; ".NAME" after it is a key below
 
 
@@ -58,13 +57,6 @@ class Key:
             InputError: the value is not allowed; `HERE` stands for section and key in its message.
         """
         raise NotImplementedError
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        from pydantic_core import core_schema
-
-        return core_schema.with_info_plain_validator_function(
-            lambda value, info: self.read(value, {**(info.data or {}), **(info.context or {})})
-        )
 
 
 @dataclass(frozen=True)
@@ -315,7 +307,6 @@ class Section:
     """
 
     hints: ClassVar[Mapping[str, str]] = {}
-    __pydantic_config__: ClassVar[Mapping[str, Any]] = {"extra": "forbid"}
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -352,20 +343,40 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         InputError: a key is missing or unknown, a value is not allowed, or the values do not fit together: the message has
             section and key, what was found, what is allowed, and what to do.
     """
-    from pydantic import ValidationError
-
     if not isinstance(given, Mapping):
         write = f"section; write {where} once, and its keys below"
         if not where.endswith("]"):
             write = f"table; give {{ ... }} with keys of {listing(keys(section))}"
         raise InputError(f"{where} = {quoted(given)} is not a {write}")
+    with error_in(where):
+        given = section.prepared(given)
+    for name in given:
+        if name not in keys(section):
+            hint = section.hints.get(name)
+            unknown = f"unknown key {quoted(name)}; known keys: {alike(name, keys(section))}"
+            raise InputError(f"{where} {f'{quoted(name)} {hint}' if hint else unknown}".lstrip())
+    values, seen = dict[str, Any](), dict[str, Any]()
+    for one in fields(section):
+        name, key, usual = one.name, keys(section)[one.name], _default(one)
+        if name not in given and usual is MISSING:
+            unit = f" [{key.unit}]" if key.unit else ""
+            raise InputError(f"{where} {name} is missing; give {name}{unit}: {key.meaning}".lstrip())
+        if name in given and (given[name] is not None or usual is not None):  # a log has null for what is not given
+            with _placed(where, [name]):
+                values[name] = key.read(given[name], {**seen, **context})
+        seen[name] = values.get(name, usual)
+    with _placed(where, []):
+        return section(**values)
+
+
+@contextmanager
+def _placed(where: str, path: Sequence[str]) -> Iterator[None]:
+    """Names section and key in the message of an InputError, in the place of `HERE`, or at its beginning."""
     try:
-        with error_in(where):
-            given = section.prepared(given)
-        return _adapter(section).validate_python(given, context=context)
-    except ValidationError as error:
-        unknown_first = sorted(error.errors(include_url=False), key=lambda one: one["type"] not in UNKNOWN)
-        raise InputError(_message(where, section, given, unknown_first[0])) from None
+        yield
+    except InputError as error:
+        text = str(error) if HERE in str(error) else f"{HERE} {error}"
+        raise InputError(PLACES.sub(lambda found: _place(where, [*path, *found[1].split(".")[1:]]), text)) from error
 
 
 def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
@@ -393,31 +404,6 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     return read(where, section, given | numbers)
 
 
-@functools.cache
-def _adapter(section: type) -> Any:
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(section)
-
-
-def _message(where: str, section: type[Section], given: Any, error: Mapping[str, Any]) -> str:
-    """Returns the message of an error that Pydantic found."""
-    kind, loc, cause = error["type"], error["loc"], error.get("ctx", {}).get("error")
-    if kind == "missing":
-        key = keys(section)[loc[-1]]
-        unit = f" [{key.unit}]" if key.unit else ""
-        return f"{where} {loc[-1]} is missing; give {loc[-1]}{unit}: {key.meaning}".lstrip()
-    if kind in UNKNOWN:
-        if hint := section.hints.get(str(loc[-1])):
-            return f"{where} {quoted(loc[-1])} {hint}".lstrip()
-        return f"{where} unknown key {quoted(loc[-1])}; known keys: {alike(loc[-1], keys(section))}".lstrip()
-    path = [*_path(given, loc)]
-    if not isinstance(cause, InputError):
-        return f"{_place(where, path)} = {quoted(error['input'])} is not allowed; {error['msg']}"
-    text = str(cause) if HERE in str(cause) else f"{HERE} {cause}"
-    return PLACES.sub(lambda found: _place(where, [*path, *found[1].split(".")[1:]]), text)
-
-
 def _place(where: str, path: Sequence[str]) -> str:
     """Returns the name of a key as in TOML, its tables in brackets."""
     if where.startswith(HERE):
@@ -427,14 +413,7 @@ def _place(where: str, path: Sequence[str]) -> str:
     return " ".join([f"{where[:-1]}.{'.'.join(path[:-1])}]" if path[1:] else where, *path[-1:]])
 
 
-def _path(given: Any, loc: Sequence[str | int]) -> Iterator[str]:
-    """Yields the parts of a location that are keys of the file; others are Pydantic's."""
-    for part in loc:
-        if isinstance(given, Mapping) and part in given:
-            yield str(part)
-            given = given[part]
-
-
+@functools.cache
 def keys(section: type) -> dict[str, Key]:
     """Returns unit, meaning and allowed values of every key of a section, by name."""
     return {one.name: _key(one.type) for one in fields(section)}
@@ -442,7 +421,12 @@ def keys(section: type) -> dict[str, Key]:
 
 def required(section: type) -> list[str]:
     """Returns the names of the keys of a section that have no default."""
-    return [one.name for one in fields(section) if one.default is MISSING and one.default_factory is MISSING]
+    return [one.name for one in fields(section) if _default(one) is MISSING]
+
+
+def _default(field: "Field[Any]") -> Any:
+    """Returns the default of a field; `MISSING` without one."""
+    return field.default if field.default_factory is MISSING else field.default_factory()
 
 
 def json_schema(section: type) -> dict[str, Any]:
