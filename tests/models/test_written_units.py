@@ -44,7 +44,7 @@ def test_sizes_of_units(text, unit, value):
 @pytest.mark.parametrize(("text", "unit", "said"), [
     ("380 N", "kg", "key = '380 N' has the unit 'N', but a unit of kg is expected, as in \"1.5 kg\""),
     ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', but a unit of m is expected, as in \"1.5 m\""),
-    ("5 m", "1", "key = '5 m' has the unit 'm', but a pure number is expected; omit the unit, as in \"1.5\""),
+    ("5 m", "1", "key = '5 m' has the unit 'm', but a pure number is expected; omit unit and quotes, as in 5"),
     ("heavy", "kg", "key = 'heavy' is not a number; give a number in kg, or a number with its unit"),
     ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', but a unit of m/s is expected, as in \"1.5 m/s\""),
     ("504,5 kg", "kg", "key = '504,5 kg' has a decimal comma; write a decimal point, as in \"1.5 kg\""),
