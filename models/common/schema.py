@@ -304,9 +304,11 @@ class Section:
 
     Attributes:
         hints: advice on keys that users expect and that the section does not have, by key.
+        by_place: True if the section may have sections of single suspensions or axles below it.
     """
 
     hints: ClassVar[Mapping[str, str]] = {}
+    by_place: ClassVar[bool] = False
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -354,6 +356,8 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         if name not in keys(section):
             hint = section.hints.get(name)
             unknown = f"unknown key {quoted(name)}; known keys: {alike(name, keys(section))}"
+            if section.by_place and (stem := next((key for key in keys(section) if name.startswith(f"{key}_")), "")):
+                unknown = f"unknown key {quoted(name)}; write {stem} in a section {where[:-1]}.{name.removeprefix(f'{stem}_')}]"
             raise InputError(f"{where} {f'{quoted(name)} {hint}' if hint else unknown}".lstrip())
     values, seen = dict[str, Any](), dict[str, Any]()
     for one in fields(section):

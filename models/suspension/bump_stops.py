@@ -316,6 +316,7 @@ class StopStiffness(Key):
 class StopSection(Section):
     """Keys of bump stops in `[limits]`, and in `[limits.CORNER]`."""
 
+    by_place: ClassVar[bool] = True
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("actuator_force", "actuator_bandwidth", "limit"), "is a key of all suspensions; move it to [limits]"
     )

@@ -25,7 +25,7 @@ h is a velocity that bends as the curves do, with slope 1 at rest; for straight 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -162,6 +162,8 @@ def _coefficient(setting: str, low: float) -> ReadBy:
 @dataclass(frozen=True)
 class ActuatorSection(Section):
     """`[actuators]` of a vehicle file, with the keys of all suspensions, or of one."""
+
+    by_place: ClassVar[bool] = True
 
     kind: Annotated[str, Choice("`force` for actuators that push, `damper` for semi-active dampers", KINDS)] = KINDS[0]
     c_min: Annotated[Any, _coefficient("softest", 0.0)] = None

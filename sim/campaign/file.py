@@ -30,6 +30,7 @@ from sim.runs.run import sample_times
 
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 Texts = tuple[str, ...]
+EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")  # of lists
 MEASURED = {Profile: ("distance", "heights"), Rig: ("time", "heights"), Surface: ("u", "v", "z")}  # roads of files: their points
 
 
@@ -53,10 +54,14 @@ def _road(value: Any, context: Mapping[str, Any]) -> str:
 class CampaignFile(Section):
     """The keys of a campaign file."""
 
-    vehicles: Annotated[Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles")]
-    controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all")]
-    roads: Annotated[Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road))]
-    speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0))]
+    vehicles: Annotated[
+        Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles", Text(), EXAMPLES[0])
+    ]
+    controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all", Text(), EXAMPLES[1])]
+    roads: Annotated[
+        Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road), EXAMPLES[2])
+    ]
+    speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0), EXAMPLES[3])]
     seeds: Annotated[tuple[int, ...], ReadBy("seeds of the random roads, or their number; other roads run once", _seeds)] = (0,)
     duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
     settle: Annotated[float, SI("s", "beginning of a run over a random road that is not measured", 0.0, 1e6)] | None = None

@@ -214,6 +214,7 @@ def test_a_parameter(name):
         ('[controllers]\nmeasured = ["sprung_velocity"]', "write it in a section [controllers.NAME]"),
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8 mm" }]', "omit unit and quotes, as in 8"),
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8" }]', "has no unit; omit the quotes"),
+        ("[limits]\nsuspension_stroke_front = 0.1", "write suspension_stroke in a section [limits.front]"),
         ("[limits]\nsuspension_stroke = 0.1\nstop = { rebound = { note = 3 } }", "[limits.stop.rebound] note = 3 is not"),
     ],
 )
