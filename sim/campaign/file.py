@@ -54,9 +54,7 @@ def _road(value: Any, context: Mapping[str, Any]) -> str:
 class CampaignFile(Section):
     """The keys of a campaign file."""
 
-    vehicles: Annotated[
-        Texts, Listed("vehicle files in the folder of the campaign file, or names of built-in vehicles", Text(), EXAMPLES[0])
-    ]
+    vehicles: Annotated[Texts, Listed("vehicle files next to this file, or names of built-in vehicles", Text(), EXAMPLES[0])]
     controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all", Text(), EXAMPLES[1])]
     roads: Annotated[
         Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road), EXAMPLES[2])
