@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2944   2102      0
+what all commands share: files, options, checks, tables of numbers   2948   2103      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
 vehicle file, types, equations, MJCF                           5173   1836    264
@@ -39,7 +39,7 @@ laws in Python                                                  649    708    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            193    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1289    831    148
+semi-active dampers and laws                                   1291    831    148
     models/suspension/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
@@ -50,7 +50,7 @@ curves of dampers and springs, statistical linearisation       3064   2460     7
     sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
-bump stops                                                      541    237      0
+bump stops                                                      542    237      0
     models/suspension/bump_stops.py sim/runs/stops.py tests/models/test_stops.py
 loads, links, tyre damping                                      744   1532     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
@@ -116,7 +116,7 @@ recordings: MCAP, Foxglove, Rerun                              2171   1138     4
 page and figures                                               4154   1363     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2508   1540    164
+campaigns                                                      2511   1540    164
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               733    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
