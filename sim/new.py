@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     path: Path | None = options.file
     if path is None and not options.schema:
         raise InputError("FILE is missing; give the file to write, as in python -m sim.new my_car.toml")
-    written = dict[str, str]()
+    written, schema = dict[str, str](), (path.parent if path else Path()) / f"{options.type}.schema.json"
     if path is not None:
         if path.exists():
             raise InputError(f"{path} already exists; give another name, or remove this file")
@@ -65,7 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.schema:
         from models.vehicle.file_schema import file_schema
 
-        schema = (path.parent if path else Path()) / f"{options.type}.schema.json"
         with whole_file(schema, "schema") as beside:
             beside.write_text(json.dumps(file_schema(options.type), indent=1) + "\n", encoding="utf-8", newline="\n")
         written["schema"] = str(schema)

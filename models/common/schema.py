@@ -360,7 +360,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
                 unknown = f"unknown key {quoted(name)}; write {stem} in a section {where[:-1]}.{name.removeprefix(f'{stem}_')}]"
             raise InputError(f"{where} {f'{quoted(name)} {hint}' if hint else unknown}".lstrip())
     values, seen = dict[str, Any](), dict[str, Any]()
-    for one in fields(section):
+    for one in fields(section):  # pyright: ignore[reportArgumentType]
         name, key, usual = one.name, keys(section)[one.name], _default(one)
         if name not in given and usual is MISSING:
             unit = f" [{key.unit}]" if key.unit else ""
