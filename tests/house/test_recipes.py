@@ -10,7 +10,6 @@ import pytest
 
 from tests.support.pages import ROOT, page, sections
 
-TEXTS = {"capture_output": True, "text": True, "check": False}
 MARK = "\n\n# By their names on a command line"
 
 
@@ -112,7 +111,9 @@ def test_add_a_key(tmp_path):
         print(*[row for row in key_sections()["[implementation]"] if row[0] == "warm_up"])
         print(file_schema("half_car")["properties"]["implementation"]["properties"]["warm_up"]["description"])
     """
-    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, **TEXTS)
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True
+    )
     meaning = "time from the start in which the controller commands no force"
     assert run.stdout.splitlines() == [
         "0.2 0.2",
