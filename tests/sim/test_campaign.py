@@ -207,8 +207,9 @@ def test_adjustable_dampers_are_sampled(tmp_path):
 
 
 @pytest.mark.attack
-def test_samples_in_another_unit_are_remarked(tmp_path, capsys):
+def test_samples_in_another_unit_are_remarked(tmp_path, capsys, monkeypatch):
     """Factors without `relative = true` make a car of a kilogram, which the plausibility remark of a vehicle file finds, too."""
+    monkeypatch.setattr("models.common.command._remarks", [])  # as at the start of a command
     (tmp_path / "campaign.toml").write_text(SMALL.replace(", relative = true", ""), encoding="utf-8")
     read_campaign(tmp_path / "campaign.toml")
     assert "natural frequency is about 16 Hz; check that sprung_mass is in kg" in capsys.readouterr().err
