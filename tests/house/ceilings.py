@@ -116,7 +116,7 @@ recordings: MCAP, Foxglove, Rerun                              2171   1138     4
 page and figures                                               4154   1363     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2511   1541    164
+campaigns                                                      2511   1542    164
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               733    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
