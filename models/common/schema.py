@@ -161,7 +161,7 @@ class Choice(Key):
 class Text(Key):
     """A text; `more` ends the message for another value."""
 
-    schema: ClassVar[Mapping[str, Any]] = {"type": "string"}
+    schema: ClassVar[Mapping[str, Any]] = TEXT
     meaning: str = ""
     more: str = ""
 
@@ -354,11 +354,12 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         given = section.prepared(given)
     for name in given:
         if name not in keys(section):
-            hint = section.hints.get(name)
-            unknown = f"unknown key {quoted(name)}; known keys: {alike(name, keys(section))}"
-            if section.by_place and (stem := next((key for key in keys(section) if name.startswith(f"{key}_")), "")):
-                unknown = f"unknown key {quoted(name)}; write {stem} in a section {where[:-1]}.{name.removeprefix(f'{stem}_')}]"
-            raise InputError(f"{where} {f'{quoted(name)} {hint}' if hint else unknown}".lstrip())
+            if hint := section.hints.get(name):
+                raise InputError(f"{where} {quoted(name)} {hint}".lstrip())
+            stem = next((key for key in keys(section) if section.by_place and name.startswith(f"{key}_")), "")
+            known = f"known keys: {alike(name, keys(section))}"
+            instead = f"write {stem} in a section {where[:-1]}.{name.removeprefix(f'{stem}_')}]" if stem else known
+            raise InputError(f"{where} unknown key {quoted(name)}; {instead}".lstrip())
     values, seen = dict[str, Any](), dict[str, Any]()
     for one in fields(section):  # pyright: ignore[reportArgumentType]
         name, key, usual = one.name, keys(section)[one.name], _default(one)
