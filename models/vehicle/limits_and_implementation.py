@@ -256,7 +256,7 @@ class ImplementationSection(Implementation):
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the section with a delay in samples instead of a time."""
         delay, period = given.get("delay"), given.get("sample_period")
-        if isinstance(delay, str) and (count := re.fullmatch(r"\s*([\d.]+) *samples?\s*", delay)):
+        if isinstance(delay, str) and (count := re.fullmatch(r"\s*(\d+\.?\d*) *samples?\s*", delay)):
             return {**given, "delay": float(count[1])}
         seconds = in_unit(delay, "s", "delay")
         if seconds is delay:
