@@ -41,9 +41,9 @@ from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
 from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
-from models.suspension.curve_reading import DamperTable, SpringTable
-from models.suspension.damper import ActuatorSection
-from models.suspension.motion_ratio import RatioSection
+from models.characteristics.curve_reading import DamperTable, SpringTable
+from models.parts.damper_section import ActuatorSection
+from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection

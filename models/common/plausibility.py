@@ -1,6 +1,6 @@
 """Numbers of vehicles and roads that are probably in another unit, or swapped: a table of rules.
 
-Limits are relative to the vehicle where trucks, bicycles and model-scale test benches differ. `models.suspension.plausibility`
+Limits are relative to the vehicle where trucks, bicycles and model-scale test benches differ. `models.parts.plausibility`
 has the remarks on curves.
 """
 

@@ -23,7 +23,6 @@ from models.kinds.signals import (
     Signal,
     names_of,
 )
-from models.suspension import SuspensionParts
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
@@ -176,8 +175,38 @@ class DampedTyre:
 
 
 @dataclass(frozen=True)
-class Suspension(SuspensionParts):
-    """Suspension of the body on a wheel; its attributes are those of `models.suspension.SuspensionParts`."""
+class Suspension(Checked):
+    """Suspension of the body on a wheel.
+
+    Attributes:
+        deflection: signal of its extension.
+        tendon: name of the MJCF tendon; the bump stop is parallel to it.
+        force: input that pushes along it; empty for a passive one.
+        stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
+        ratio: parameter of its motion ratio, travel of all its elements per wheel travel; empty for elements at the wheel. The
+            equations of the kind are for elements at the wheel: `VehicleKind.at_wheels` converts.
+    """
+
+    deflection: Name
+    tendon: Name
+    force: str = ""
+    stiffness: str = ""
+    damping: str = ""
+    ratio: str = ""
+
+    def motion_ratio(self, parameters: Parameters) -> float:
+        """Returns its motion ratio."""
+        return parameters.get(self.ratio, 1.0)
+
+    @property
+    def ending(self) -> str:
+        """Suffix of the names at its corner."""
+        return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
+
+    @property
+    def corner(self) -> str:
+        """Name of its corner; empty for a single suspension."""
+        return self.ending.removeprefix("_")
 
     @property
     def velocity(self) -> Signal:
@@ -274,7 +303,7 @@ class VehicleKind(Checked):
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
             compared with the linear model alone.
         static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
-        ratios: `models.suspension.motion_ratio.RatioTable` of each motion ratio that changes with travel, by parameter; only in
+        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter; only in
             the kind of a vehicle that has some.
         people: accelerations [m/s2] of the points with a person, the most important one first. None: those of masses above the
             body, if it has some; empty for none.

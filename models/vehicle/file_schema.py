@@ -5,10 +5,10 @@ from typing import Any
 
 from models.common.schema import NUMBER, Section, described, json_schema
 from models.laws.filter import FilterSection
-from models.suspension.bump_stops import StopSection, places_of
-from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
-from models.suspension.damper import ActuatorSection
-from models.suspension.motion_ratio import RatioSection
+from models.parts.stop import StopSection, places_of
+from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
+from models.parts.damper_section import ActuatorSection
+from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection

@@ -18,7 +18,7 @@ from models.common.table import find_table
 from models.common.toml_edit import Replacement, with_replacements
 from models.common.units import in_unit
 from models.laws.python_law import PythonLaw
-from models.suspension.curve_file import curve_tables
+from models.characteristics.curve_file import curve_tables
 from models.vehicle.law_file import MATRICES, SAVE, read_law
 
 KEY = "family"

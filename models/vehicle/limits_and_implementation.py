@@ -11,12 +11,12 @@ from models.common.errors import InputError, quoted
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
-from models.suspension import STOP, STOP_KEYS, STOP_NAMES
-from models.suspension.bump_stops import StopPair, StopSection, read_places, stop_words, stops_at
+from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
+from models.parts.stop import StopPair, StopSection, read_places, stop_words, stops_at
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Stops
+    from models.parts.stop import Stops
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this

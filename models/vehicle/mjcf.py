@@ -64,12 +64,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
     _write_limits(spec, vehicle)
-    _write_curves(spec, vehicle)
-    if vehicle.dampers:
-        from models.suspension.curve_actuators import write_dampers
-
-        tendons = {suspension.force: suspension.tendon for suspension in vehicle.kind.suspensions}
-        write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
+    _write_parts(spec, vehicle)
     ratios = vehicle.motion_ratios
     for actuator in spec.actuators:
         if actuator.name in ratios:
@@ -120,37 +115,8 @@ def _said(error: Exception) -> str:
 
 
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes bump stops, largest force and lag into every suspension and actuator.
-
-    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; if bump and rebound differ,
-    each is a spring of its own, slack to the other side. A stop with a table is the pieces of its curve.
-    """
-    limits, stops = vehicle.limits, vehicle.stops
-    by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
-    by_tendon = {name: pair for name, pair in by_tendon.items() if pair.acts}
-    if names := list(by_tendon):
-        suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
-        if absent := [name for name in names if name not in suspensions]:
-            raise InputError(
-                f"MJCF {vehicle.kind.mjcf}: it has no tendon {', no tendon '.join(map(repr, absent))}, but [limits] "
-                "suspension_stroke limits the travel of this suspension; add what is missing, or omit suspension_stroke"
-            )
-        from models.suspension.curve_actuators import add_pieces
-
-        at_rest = _compiled(vehicle, spec.copy())
-        for tendon in suspensions.values():
-            rest = float(at_rest.tendon_length0[at_rest.tendon(tendon.name).id])
-            for name, (slack, stiffness) in by_tendon[tendon.name].springs(rest).items():
-                stop = spec.add_tendon(name=f"{name}_{tendon.name}")
-                stop.stiffness[:] = stiffness
-                stop.springlength = slack
-                for wrap in tendon.path:
-                    if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT:
-                        stop.wrap_joint(wrap.target.name, wrap.coef)
-                    else:
-                        stop.wrap_site(wrap.target.name)
-            for name, pieces in by_tendon[tendon.name].pieces.items():
-                add_pieces(spec, f"{FITTED}{name}_{tendon.name}", tendon.name, pieces, rest)
+    """Writes largest force and lag into every actuator."""
+    limits = vehicle.limits
     for actuator in spec.actuators:
         if actuator.name.startswith(FITTED):
             continue
@@ -165,22 +131,39 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             actuator.dynprm[0] = 1 / limits.actuator_bandwidth
 
 
-def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes the deviations of curves from their lines, and sensors of suspension velocities that are signals."""
+def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
+    """Writes the parts of suspensions beyond their lines, and sensors of suspension velocities that are signals.
+
+    A part without a form native to MuJoCo has a motor on its tendon.
+    """
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
     pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions]
-    pairs, rest = [pair for pair in pairs if pair[0] in names - sensed], {}
-    if not (pairs or vehicle.fitted):
+    pairs, parts = [pair for pair in pairs if pair[0] in names - sensed], [one for one in vehicle.parts if one.part.acts]
+    if not (pairs or parts):
         return
-    from models.suspension.adjustable_dampers import softest
-    from models.suspension.curve_actuators import fit_curves, sense_velocities
+    from models.parts.native import Tendon, check_line, sense_velocities
 
-    if vehicle.fitted:
+    with error_in(f"MJCF {vehicle.kind.mjcf}:"):
+        tendons = {tendon.name: tendon for tendon in spec.tendons}
+        for one in parts:
+            if one.tendon not in tendons:
+                raise InputError(
+                    f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit these"
+                )
+            check_line(tendons[one.tendon], one)
+        sense_velocities(spec, pairs)
+        if not parts:
+            return
         at_rest = _compiled(vehicle, spec.copy())
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
-    with error_in(f"MJCF {vehicle.kind.mjcf}:"):
-        sense_velocities(spec, pairs)
-        fit_curves(spec, softest(vehicle.fitted, vehicle.adjustable, vehicle.kind.pushed), FITTED, rest)
+        places = [(one, Tendon(spec, one.tendon, rest[one.tendon], FITTED)) for one in parts]
+        for one, tendon in places:
+            if one.part.native:
+                one.part.write(tendon)
+        for name in dict.fromkeys(one.tendon for one in parts if not one.part.native):
+            Tendon(spec, name, rest[name], FITTED).add_motor()
+        for one, tendon in places:
+            one.part.write_input(tendon, not one.part.native)
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:

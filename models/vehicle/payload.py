@@ -20,9 +20,10 @@ from models.common.schema import SI, Section, read
 from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
-from models.suspension.bump_stops import SIDES, StopPair, StopSection
-from models.suspension.curve import ForceCurve
-from models.suspension.surface import ForceSurface
+from models.parts.part import SIDES
+from models.parts.stop import StopPair, StopSection
+from models.characteristics.curve import ForceCurve
+from models.characteristics.surface import ForceSurface
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")

@@ -14,13 +14,13 @@ from models.common.plausibility import Known
 from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
+from models.parts.part import SIDES
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Stops
-    from models.suspension.curve import ForceCurve
-    from models.suspension.damper import Damper
-    from models.suspension.motion_ratio import RatioTable
+    from models.characteristics.curve import ForceCurve
+    from models.parts.damper_section import Damper
+    from models.characteristics.ratio_table import RatioTable
     from models.vehicle.limits_and_implementation import Limits
 
 
@@ -159,8 +159,8 @@ def curves_and_parameters(
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
     curves = dict[str, "ForceCurve"]()
     if section:
-        from models.suspension.curve_reading import read_curves
-        from models.suspension.fitted_curves import curvable
+        from models.characteristics.curve_reading import read_curves
+        from models.parts.fitted_curves import curvable
 
         over, ratios = curvable(kind.suspensions), _ratios(section, kind)
         at_rest = {name: table.at_rest for name, table in ratios.items()}
@@ -183,7 +183,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}
-    from models.suspension.motion_ratio import ratio_table
+    from models.characteristics.ratio_table import ratio_table
 
     if kind.static_loads is nothing:
         raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
@@ -251,7 +251,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
 
 def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, Known]:
     """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
-    kind, damper, stops = vehicle.kind, vehicle.dampers.get(part.force), vehicle.stops.get(part.deflection)
+    kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.strokes.get(part.deflection, {})
     r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
     names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
     names |= {"spring": part.stiffness, "damper": part.damping}
@@ -259,7 +259,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
     critical, hop = 2 * math.sqrt(k * load / GRAVITY), 2 * math.sqrt(tyre * wheel)
     return _known(
         **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
-        **{side: (f"the {side} stroke", stop.stroke, "m") for side, (_, stop) in (stops.sides if stops else {}).items()},
+        **{side: (f"the {side} stroke", stroke, "m") for side, stroke in strokes.items()},
         damping=("", _ratio(c, critical), ""),
         adjustable=("", _ratio(r**2 * damper.c_max if damper and damper.pair is None else 0.0, critical), ""),
         tyre_damping=("", _ratio(tyre_damper, hop), ""),
@@ -293,7 +293,7 @@ def suspension_doubts(
     """Returns remarks on tables of springs, dampers and stops that are probably in another unit or of the other sign."""
     if not (curves or dampers or limits.stopped):
         return []
-    from models.suspension.plausibility import damper_doubts, length_doubts, stop_doubts
+    from models.parts.plausibility import damper_doubts, length_doubts, stop_doubts
 
     loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), limits.stops(kind.suspensions)
     doubts = dict[str, None]()
@@ -336,7 +336,7 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
     """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
     if not curves:
         return []
-    from models.suspension.measured_loop import slope_words
+    from models.characteristics.measured_loop import slope_words
 
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
@@ -351,17 +351,17 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
     return notes
 
 
-def ratio_doubts(kind: VehicleKind, stopped: Mapping[str, "Stops"]) -> list[str]:
+def ratio_doubts(kind: VehicleKind, strokes: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Returns warnings on bump stops that begin beyond the table of a motion ratio, where the ratio is constant."""
     doubts = dict[str, None]()
     for part in kind.suspensions:
-        table, stops = kind.ratios.get(part.ratio), stopped.get(part.deflection)
-        if table is None or stops is None:
+        if (table := kind.ratios.get(part.ratio)) is None:
             continue
-        for side, (sign, stop) in stops.sides.items():
+        for side, stroke in strokes.get(part.deflection, {}).items():
+            sign = -1.0 if side == SIDES[0] else 1.0
             end = float(max(sign * table.x))
-            if stop.stroke > end:
-                begins = f"the {side} stop begins at {sign * round(stop.stroke, 4):g} m at the wheel"
+            if stroke > end:
+                begins = f"the {side} stop begins at {sign * round(stroke, 4):g} m at the wheel"
                 said = f"{part.ratio}: its table ends at {sign * end:g} m, but {begins}; the ratio is constant beyond the table"
                 doubts[f"{said}, so extend the table to the stop"] = None
     return list(doubts)

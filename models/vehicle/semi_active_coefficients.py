@@ -11,7 +11,7 @@ from models.laws.semi_active import CROSSOVER, MODAL, SPRUNG, LawCoefficients, S
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from models.suspension.damper_range import CoefficientRange
+    from models.parts.damper_range import CoefficientRange
 
 
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:

@@ -22,6 +22,7 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
+from models.parts.part import BUMP_STOP, SIDES
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
@@ -47,12 +48,11 @@ from models.vehicle.sections import (
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
-    from models.suspension.adjustable_dampers import Adjustable
-    from models.suspension.bump_stops import Stops
-    from models.suspension.curve import ForceCurve
-    from models.suspension.damper import Damper
-    from models.suspension.fitted_curves import SuspensionCurve
-    from models.suspension.motion_ratio import RatioTable
+    from models.parts.adjustable import Adjustable
+    from models.characteristics.curve import ForceCurve
+    from models.parts.damper_section import Damper
+    from models.parts.part import SuspensionPart
+    from models.characteristics.ratio_table import RatioTable
 
 
 def kinds(folder: Path = HERE) -> list[str]:
@@ -191,25 +191,33 @@ class Vehicle(Shown):
         return replace(self, parameters=parameters, curves=curves, **fields)
 
     @cached_property
-    def fitted(self) -> "tuple[SuspensionCurve, ...]":
-        """Curves of its suspensions at the wheels, scaled to its parameters."""
-        if not (self.curves or self.dampers or self.kind.ratios):
+    def parts(self) -> "tuple[SuspensionPart, ...]":
+        """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
+        if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped):
             return ()
-        from models.suspension.fitted_curves import fitted
+        from models.parts.registry import parts_of
 
-        dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
-        loads = self.kind.static_loads(self.parameters) if self.kind.ratios else {}
-        return fitted(self.kind.suspensions, self.curves, self.parameters, dampers, self.ratio_tables, loads)
+        return parts_of(self)
+
+    @cached_property
+    def fitted(self) -> "tuple[SuspensionPart, ...]":
+        """Parts with a curve."""
+        return tuple(one for one in self.parts if one.part.curve is not None)
+
+    @cached_property
+    def strokes(self) -> Mapping[str, Mapping[str, float]]:
+        """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
+        strokes = dict[str, dict[str, float]]()
+        for one in self.parts:
+            for limit in one.part.limits():
+                if limit.end == BUMP_STOP:
+                    strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
+        return strokes
 
     @property
     def is_curved(self) -> bool:
         """True if a suspension has a curve that is not straight."""
         return any(each.curve.bent for each in self.fitted)
-
-    def argument_of(self, fitted: "SuspensionCurve") -> str:
-        """Returns the name of the signal on which a curve's force depends: velocity or deflection of its suspension."""
-        parts = {part.deflection: part for part in self.kind.suspensions}
-        return parts[fitted.deflection].velocity.name if fitted.damps else fitted.deflection
 
     def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
@@ -286,15 +294,6 @@ class Vehicle(Shown):
         at = [tables[part](signal(part)) if part in tables else self.motion_ratios[name] for name, part in along.items()]
         return np.stack(np.broadcast_arrays(*at), axis=-1)
 
-    @cached_property
-    def stops(self) -> "dict[str, Stops]":
-        """Bump stops as they act at the wheels, by deflection; those of `[limits]` are at their motion ratios."""
-        stops, parts = self.limits.stops(self.kind.suspensions), {part.deflection: part for part in self.kind.suspensions}
-        for name, pair in stops.items():
-            table = self.ratio_tables.get(name)
-            stops[name] = pair.at_wheel(parts[name].motion_ratio(self.parameters)) if table is None else table.stops(pair)
-        return stops
-
     @property
     def ratio_notes(self) -> list[str]:
         """The rates at the wheel of every motion ratio, and the curves that approximate one over travel; empty without any."""
@@ -337,7 +336,7 @@ class Vehicle(Shown):
         """Adjustable dampers, in the order of the forces."""
         if not self.dampers:
             return ()
-        from models.suspension.adjustable_dampers import adjustable
+        from models.parts.adjustable import adjustable
 
         return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
 
@@ -541,7 +540,7 @@ class Vehicle(Shown):
             *remarks(known_quantities(self)),
             *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
             *curve_notes(curves, self.kind, self.parameters),
-            *(ratio_doubts(self.kind, self.stops) if self.kind.ratios else []),
+            *(ratio_doubts(self.kind, self.strokes) if self.kind.ratios else []),
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
 
@@ -567,7 +566,7 @@ class Vehicle(Shown):
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            from models.suspension.adjustable_dampers import check_measured
+            from models.parts.adjustable import check_measured
 
             check_measured(entry.name, entry.measured, self.adjustable)
 
@@ -651,7 +650,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         implementation, sampled = section.implementation, section.sampled
     dampers = dict[str, "Damper"]()
     if given.actuators:
-        from models.suspension.damper import read_actuators
+        from models.parts.damper_section import read_actuators
 
         forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
         dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)

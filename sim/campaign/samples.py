@@ -15,8 +15,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
-from models.suspension.adjustable_dampers import Adjustable
-from models.suspension.damper import CURVED
+from models.parts.adjustable import Adjustable
+from models.parts.damper_section import CURVED
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values

@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.common.arrays import Array
-from models.suspension.damper_range import range_of
+from models.parts.damper_range import range_of
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Controller

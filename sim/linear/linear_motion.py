@@ -23,8 +23,7 @@ class LinearMotion:
         """
         self.model, self.names = vehicle.wheel_model, vehicle.linear_model.states
         self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
-        stops = vehicle.stops
-        needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.acts}
+        needed = {one.deflection for one in vehicle.parts if one.part.acts}
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
         names = [part.deflection for part in vehicle.kind.suspensions]
         self._rows, self._push = np.zeros((len(names), len(self.names))), np.zeros((len(names), len(self.names)))
@@ -79,9 +78,10 @@ def suspension_pulls(vehicle: Vehicle, beyond: Array, ratios: Array, d: Array, v
     for fitted in vehicle.fitted:
         if fitted.curve.bent:
             i = places[fitted.deflection]
-            pulls[:, i] += fitted.beyond(d[:, i], v[:, i])
-    for name, stops in vehicle.stops.items():
-        pulls[:, places[name]] += stops.pull(d[:, places[name]])
+            pulls[:, i] += fitted.part.beyond(d[:, i], v[:, i])
+    for one in vehicle.parts:
+        if one.part.curve is None and not one.part.inputs:
+            pulls[:, places[one.deflection]] += one.part.beyond(d[:, places[one.deflection]], v[:, places[one.deflection]])
     for part in vehicle.kind.suspensions:
         i = places[part.deflection]
         if part.force in dampers:

@@ -4,7 +4,7 @@ For a force f over the velocity or deflection y of a suspension, with x the stat
 
     f = p(y),    y = Y x,
 
-where p is the part of a curve beyond its line (`models.suspension`), as its line belongs to the linear model. A damper's p may be
+where p is the part of a curve beyond its line (`models.parts`), as its line belongs to the linear model. A damper's p may be
 over velocity and deflection.
 
 At rest: ideal force actuators replace adjustable dampers. A curve that is straight about rest stays: a small enough road meets
@@ -21,12 +21,12 @@ from models.kinds.linear_model import LinearModel
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from models.suspension.curve import ForceCurve
+    from models.characteristics.curve import ForceCurve
 
 
 def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the parameters whose curves are not straight about rest, in the order of the suspensions."""
-    return tuple(dict.fromkeys(fitted.parameter for fitted in vehicle.fitted if (fitted.curve.pieces.start == 0).any()))
+    return tuple(dict.fromkeys(fitted.parameter for fitted in vehicle.fitted if fitted.part.kinked_at_rest))
 
 
 def at_rest(vehicle: Vehicle) -> Vehicle:
@@ -70,7 +70,7 @@ class Elements:
 def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first."""
     curved = [fitted for fitted in vehicle.fitted if fitted.curve.bent]
-    index = [model.outputs.index(vehicle.argument_of(fitted)) for fitted in curved]
+    index = [model.outputs.index(fitted.argument) for fitted in curved]
     push, outputs = vehicle.pulls_on([fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows = model.C[index]

@@ -25,8 +25,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
-from models.suspension.curve import ForceCurve
-from models.suspension.surface import ForceSurface
+from models.characteristics.curve import ForceCurve
+from models.characteristics.surface import ForceSurface
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements, elements
 

@@ -515,7 +515,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A]
     if vehicle.dampers:
-        from models.suspension.damper_range import range_of
+        from models.parts.damper_range import range_of
         from sim.linear.dampers import stretching
 
         of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)

@@ -44,7 +44,7 @@ class Actuators:
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
         if not first.dampers:
             return
-        from models.suspension.damper_range import range_of
+        from models.parts.damper_range import range_of
 
         self.size, self._of = 2 * self.forces, range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
         self._nominal = np.zeros((len(vehicles), self.forces))

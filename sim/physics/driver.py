@@ -23,7 +23,7 @@ from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
     from models.laws.python_runtime import FileRuns, LawRuns
-    from models.suspension.damper_range import CoefficientRange
+    from models.parts.damper_range import CoefficientRange
 
 WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, and its law is no longer called
 
@@ -155,7 +155,7 @@ class LinearDriver:
             self._memory[i, :m, : law.states], self._memory[i, m:end, : law.states] = law.C, law.A
         if any(one.law.anti_windup is not None for one in self._controllers):
             from models.laws.anti_windup import anti_windup_gain
-            from models.suspension.damper_range import range_of
+            from models.parts.damper_range import range_of
 
             gains = {key: anti_windup_gain(law) for key, law in laws.items()}
             self._windup = np.zeros((count, k, m))
@@ -202,7 +202,7 @@ class SemiActiveDriver:
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
         """See `Driver.start`."""
-        from models.suspension.damper_range import range_of
+        from models.parts.damper_range import range_of
         from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
         self._range = range_of([vehicle.adjustable for vehicle in vehicles], vehicles[0].linear_model.inputs)

@@ -55,7 +55,7 @@ class CodeDriver:
         self._steps, self._range = [code.start() for code in self._codes], None
         self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * len(law.outputs) for code in self._codes])
         if first.dampers:
-            from models.suspension.damper_range import range_of
+            from models.parts.damper_range import range_of
 
             self.measured = (*self.measured, *closing_names(first))
             self._range = range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)

@@ -20,7 +20,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.suspension import SURFACE
+from models.parts import SURFACE
 from models.vehicle.mjcf import FITTED
 from models.vehicle.vehicle import Vehicle
 from sim.response.recursion import SHARES, WEIGHTS

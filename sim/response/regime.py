@@ -8,12 +8,14 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.kind import MOST_SQUEEZE, DampedTyre
-from models.suspension import LEAVES
+from models.parts import part as parts
+from models.parts.part import Stack
+from models.characteristics import LEAVES
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.suspension.fitted_curves import SuspensionCurve
+    from models.parts.part import SuspensionPart
 
 AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
 # m; the stiffest tyre, compressed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
@@ -32,19 +34,19 @@ class Threshold:
         sign: sign of the side with the limit; 0 for both.
         value: limit of sign * signal, or of its magnitude [the signal's unit].
         tyre: velocities that count, in addition to the deflection, for a tyre that damps; None for the signal alone.
-        damper: a damper over velocity, the signal, and deflection, whose force beyond its line counts [N]; None for the signal.
+        part: part whose force beyond its line counts [N]; None for the signal.
     """
 
     signal: str
     sign: float
     value: float
     tyre: DampedTyre | None = None
-    damper: "SuspensionCurve | None" = None
+    part: "SuspensionPart | None" = None
 
     def of(self, response: Response) -> Array:
         """Returns the signal of a response, the equivalent deflection of a tyre, or the force beyond a damper's line."""
-        if self.damper is not None:
-            return self.damper.beyond(response[self.damper.deflection], response[self.signal])
+        if self.part is not None:
+            return self.part.part.beyond(response[self.part.deflection], response[self.part.place.velocity.name])
         if self.tyre is None:
             return response[self.signal]
         return response[self.signal] + self.tyre.time * (response[self.tyre.hub] - response[self.tyre.road])
@@ -101,23 +103,18 @@ def _either_way(
     return thresholds
 
 
-def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds on every suspension's deflection, one to each side that has a stop."""
-    stops = vehicle.stops.items()
-    return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in both.sides.values()]
+def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
+    """Returns a function that returns the thresholds at which parts of a vehicle reach an end."""
 
+    def thresholds(vehicle: Vehicle) -> list[Threshold]:
+        found = []
+        for one in vehicle.parts:
+            signals = {"deflection": one.deflection, "velocity": one.place.velocity.name, "force": one.argument}
+            for limit in one.part.limits():
+                if limit.end == end:
+                    found.append(Threshold(signals[limit.of], limit.sign, limit.value, part=one if limit.of == "force" else None))
+        return found
 
-def _off_the_line(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which curves leave their lines at rest: one to each side, or one of the force."""
-    thresholds = []
-    for fitted in vehicle.fitted:
-        if fitted.surface is not None:
-            thresholds.append(Threshold(vehicle.argument_of(fitted), 0.0, LEAVES * fitted.curve.range, damper=fitted))
-            continue
-        low, high = fitted.curve.left_at
-        thresholds += [
-            Threshold(vehicle.argument_of(fitted), sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf
-        ]
     return thresholds
 
 
@@ -127,8 +124,9 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.fitted:
-        d, v = response[fitted.deflection], response[vehicle.argument_of(fitted)]
-        apart = np.abs(fitted.beyond(d, v)).max(initial=0.0) / fitted.curve.range
+        d = response[fitted.deflection]
+        v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
+        apart = np.abs(fitted.part.beyond(d, v)).max(initial=0.0) / fitted.part.range
         shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
     return shares
 
@@ -147,7 +145,7 @@ BUMP_STOP = End(
     "bump stop: a suspension first reaches the end of its stroke at {when}",
     "#e8955a",
     ("Square", (255, 0, 200)),
-    _at_the_stops,
+    _of_parts(parts.BUMP_STOP),
 )
 SATURATION = End(
     "force saturation",
@@ -171,7 +169,7 @@ CURVE = End(
     f"curve: a damper or spring first differs from its line by {100 * LEAVES:g} % of its largest force at {{when}}",
     "#a3b86c",
     ("Asterisk", (150, 255, 60)),
-    _off_the_line,
+    _of_parts(parts.CURVE),
     exact=True,
 )
 DAMPER = End(
@@ -310,9 +308,10 @@ class EndDetector:
     def _reader(limits: Sequence[Threshold], names: Sequence[str]) -> Callable[[Array], Array]:
         """Returns a function from a block of signals to what the limits of N runs are on, shape (B, N); see `Threshold.of`."""
         signal, tyres = names.index(limits[0].signal), [limit.tyre for limit in limits]
-        if dampers := [limit.damper for limit in limits if limit.damper is not None]:
-            d, each = names.index(dampers[0].deflection), list(enumerate(dampers))
-            return lambda values: np.stack([one.beyond(values[:, d, i], values[:, signal, i]) for i, one in each], axis=-1)
+        if ones := [limit.part for limit in limits if limit.part is not None]:
+            stack, d, v = Stack([one.part for one in ones]), names.index(ones[0].deflection), ones[0].place.velocity.name
+            speed = names.index(v) if v in names else None
+            return lambda values: stack.beyond(values[:, d], values[:, d] * 0.0 if speed is None else values[:, speed])
         first = next((tyre for tyre in tyres if tyre is not None), None)
         if first is None:
             return lambda values: values[:, signal]

@@ -188,7 +188,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     closing = samples.closing if vehicle.dampers else None
     if law.anti_windup is not None:
         from models.laws.anti_windup import anti_windup_gain
-        from models.suspension.damper_range import range_of
+        from models.parts.damper_range import range_of
 
         of, gain = range_of([vehicle.adjustable], inputs, [vehicle.limits.actuator_force]), anti_windup_gain(law)
         after = after + of.clipped_off(forces, closing) @ gain.T
@@ -196,7 +196,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
     if closing is None:
         return forces, slack, states
-    from models.suspension.damper_range import range_of
+    from models.parts.damper_range import range_of
 
     of = range_of([vehicle.adjustable], inputs)
     speed = np.abs(of.effective_velocity(closing))
@@ -210,7 +210,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
 
 def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
     """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
-    from models.suspension.damper_range import range_of
+    from models.parts.damper_range import range_of
     from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
     of, whole = range_of([vehicle.adjustable], vehicle.linear_model.inputs), slice(None)
@@ -221,7 +221,7 @@ def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) ->
 
 def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
     """Returns the commands of a law in Python, an FMU or exported code that is started again, shape (K, c)."""
-    from models.suspension.damper_range import range_of
+    from models.parts.damper_range import range_of
 
     vehicle, h = road.vehicle, road.timestep
     driver = driver_of([controller])

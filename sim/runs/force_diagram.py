@@ -13,8 +13,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.suspension.adjustable_dampers import Adjustable
-    from models.suspension.fitted_curves import SuspensionCurve
+    from models.parts.adjustable import Adjustable
+    from models.parts.part import SuspensionPart
 
 PREFIX = "suspension_deflection"  # begins the names of suspensions, in the kinds that ship
 
@@ -80,16 +80,16 @@ def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
     return Response(physics.time, tuple(signals), np.stack(values, axis=-1)) if signals else None
 
 
-def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
-    signal = vehicle.kind.signal(vehicle.argument_of(one))
-    actuator = next(each.force for each in vehicle.kind.suspensions if each.deflection == one.deflection)
+def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
+    signal = vehicle.kind.signal(one.argument)
+    actuator = one.place.force
     damper = one.damps
     pushed = damper and actuator in vehicle.linear_model.inputs
     words = signal.name.replace("_", " ")
     what, ending = "damper" if damper else "spring", _ending(one.deflection)
 
     def pull(x: Array, response: Response) -> Array:
-        return one.curve(x) if one.surface is None else one.surface.along(x, response[one.deflection])
+        return one.part.pull(response[one.deflection], x) if damper else one.part.pull(x, np.zeros_like(x))
 
     def ratio(response: Response) -> Array:
         return vehicle.ratio_at(actuator, response[one.deflection])

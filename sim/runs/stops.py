@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.document.field import Field, json_object
-from models.suspension.bump_stops import SIDES
+from models.parts.part import SIDES, Part
 from sim.response.regime import AT, BUMP_STOP
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
@@ -42,17 +42,24 @@ def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
-    for name, stops in run.vehicle.stops.items():
+    for name, strokes in run.vehicle.strokes.items():
         contacts[name] = {}
-        for side, (sign, stop) in stops.sides.items():
+        stops = [one.part for one in run.vehicle.parts if one.deflection == name and _is_stop(one.part)]
+        for side, stroke in strokes.items():
+            sign = -1.0 if side == SIDES[0] else 1.0
             travel = sign * physics[name]
             k = int(travel.argmax()) if len(travel) else 0
-            if not len(travel) or travel[k] < AT * stop.stroke:
+            if not len(travel) or travel[k] < AT * stroke:
                 contacts[name][side] = None
                 continue
-            squeeze = max(0.0, float(travel[k]) - stop.stroke)
-            contacts[name][side] = Touch(side, squeeze, float(stop.acts(np.array(squeeze))), float(physics.time[k]))
+            squeeze, still = max(0.0, float(travel[k]) - stroke), np.zeros(())
+            force = abs(sum(float(one.pull(np.array(sign * (stroke + squeeze)), still)) for one in stops))
+            contacts[name][side] = Touch(side, squeeze, force, float(physics.time[k]))
     return contacts
+
+
+def _is_stop(part: Part) -> bool:
+    return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
 def stops_object(run: RunResult) -> dict[str, dict[str, dict[str, Any] | None]]:

@@ -22,7 +22,7 @@ import numpy as np
 import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
 from models.common.arrays import Array
-from models.suspension.curve import ForceCurve
+from models.characteristics.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
@@ -63,14 +63,14 @@ def equivalent_line(
             (k,), or None for an unstable loop.
     """
     placed = [one for one in vehicle.fitted if one.curve.bent]
-    signals, names = [vehicle.argument_of(one) for one in placed], [one.parameter for one in placed]
+    signals, names = [one.argument for one in placed], [one.parameter for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     push, _ = vehicle.pulls_on([one.deflection for one in placed])
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
     of_parameter = {one.parameter: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        of_elements = {name: (shared[name] - one.of_preload) / one.ratio**2 for name, one in of_parameter.items()}
+        of_elements = {name: (shared[name] - one.part.line.of_preload) / one.ratio**2 for name, one in of_parameter.items()}
         linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
         spreads = deviations(linear, signals + travels)
         if spreads is None:

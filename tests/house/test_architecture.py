@@ -27,18 +27,18 @@ ROOMS = {
     "models": "",
     "models.document": "",
     "models.laws": "",
-    "models.suspension": "",
-    "models.kinds": "models.laws models.suspension",
+    "models.parts": "",
+    "models.kinds": "models.laws models.parts",
     "models.full_car": "models.kinds",
     "models.half_car": "models.kinds",
     "models.quarter_car": "models.kinds",
-    "models.vehicle": "models.document models.kinds models.laws models.suspension",
+    "models.vehicle": "models.document models.kinds models.laws models.parts",
     "models.roads": "models.kinds models.vehicle",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.plant": "models.laws",
     "synth.analysis": "models.document synth.plant",
-    "synth.controller": "models models.document models.kinds models.laws models.suspension models.vehicle synth.analysis "
+    "synth.controller": "models models.document models.kinds models.laws models.parts models.vehicle synth.analysis "
     "synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
     "synth.design": "models.document models.laws synth.analysis synth.lmi synth.plant",
@@ -49,21 +49,21 @@ ROOMS = {
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
     "sim": "",
-    "sim.response": "models.document models.kinds models.suspension models.vehicle",
-    "sim.linear": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller synth.plant "
+    "sim.response": "models.document models.kinds models.parts models.vehicle",
+    "sim.linear": "models.kinds models.laws models.roads models.parts models.vehicle synth.controller synth.plant "
     "sim.response",
-    "sim.physics": "models.document models.kinds models.laws models.roads models.suspension models.vehicle synth.controller "
+    "sim.physics": "models.document models.kinds models.laws models.roads models.parts models.vehicle synth.controller "
     "sim.response",
-    "sim.runs": "models models.document models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.runs": "models models.document models.kinds models.laws models.roads models.parts models.vehicle "
     "synth.controller synth.vehicle sim.linear sim.physics sim.response",
     "sim.recording": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.response sim.runs",
-    "sim.studies": "models.document models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
+    "sim.studies": "models.document models.kinds models.laws models.roads models.parts models.vehicle synth.analysis "
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
     "sim.command": "models models.document models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
     "sim.bump": "models.roads models.vehicle sim.command",
-    "sim.campaign": "models.document models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.campaign": "models.document models.kinds models.laws models.roads models.parts models.vehicle "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
     "sim.drive": "sim.command",
@@ -92,9 +92,9 @@ MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 # What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
 REACHES = {
     "synth.analysis": "models.common models.document synth.plant",
-    "synth.controller": "models.common models.document models.kinds models.laws models.suspension models.vehicle "
+    "synth.controller": "models.common models.document models.kinds models.laws models.parts models.vehicle "
     "synth.analysis synth.plant",
-    "sim.inspect": "models.common models.document models.kinds models.laws models.roads models.suspension models.vehicle "
+    "sim.inspect": "models.common models.document models.kinds models.laws models.roads models.parts models.vehicle "
     "synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
 }
 
@@ -105,7 +105,7 @@ OWNERS = {
     "tomlkit": {"models/common/toml_edit.py"},
     "mujoco": {
         "models/vehicle/mjcf.py",
-        "models/suspension/curve_actuators.py",
+        "models/parts/native.py",
         "sim/physics/sensor_readout.py",
         "sim/physics/run_blocks.py",
         "sim/physics/surface_steps.py",

@@ -19,10 +19,10 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
 from models.roads.sinusoids import Multisine
-from models.suspension.bump_stops import StopSection
-from models.suspension.curve_reading import DamperTable, SpringTable, SurfaceTable
-from models.suspension.damper import ActuatorSection
-from models.suspension.motion_ratio import RatioSection
+from models.parts.stop import StopSection
+from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
+from models.parts.damper_section import ActuatorSection
+from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerEntry, ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, Limits, LimitsSection
 from models.vehicle.payload import PayloadSection

@@ -13,7 +13,7 @@ from scipy import stats
 
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
-from models.suspension.bump_stops import Stop
+from models.parts.stop import Stop
 from models.vehicle.limits_and_implementation import Limits, read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle

@@ -48,6 +48,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
+from models.parts.part import SIDES
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.linear.frequency_response import leaps_by_step, sampled_states, stepwise_frequency_response
@@ -270,14 +271,13 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         mean[f"{name}_vdv"] = (window * weighted.mean_fourth_power) ** 0.25
         mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
         mean[f"{name}_crest"] = weighted.largest(window)
-    stopped = vehicle.stops
     for name in where.suspensions:
         offset = line.mean.get(name, 0.0)
         signal = root(f"{name}_rms", index[name], offset=offset)
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
-        if (stops := stopped.get(name)) is not None:
-            beyond = signal.beyond(stops.bump.stroke + offset), signal.beyond(stops.rebound.stroke - offset)
-            mean[f"{name}_at_stops"] = sum(beyond)
+        if (strokes := vehicle.strokes.get(name)) is not None:
+            bump, rebound = (strokes.get(side, math.inf) for side in SIDES)
+            mean[f"{name}_at_stops"] = signal.beyond(bump + offset) + signal.beyond(rebound - offset)
     for name in where.tyres:
         signal = root(dynamic_load(name), index[name], static[name], 1 / static[name])
         mean[off_ground(name)] = signal.beyond(static[name])

@@ -15,7 +15,8 @@ from models.common.printed import GAP, wrapped
 from models.document.document import Table
 from models.document.field import Field, json_object
 from models.document.text import BEST, CHANGE, names_text, table_lines
-from models.suspension.bump_stops import SIDES
+from models.parts.stop import SIDES
+from models.parts.part import SIDES
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
@@ -80,9 +81,10 @@ KEYS = tuple(one.key for one in FIELDS)
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
     """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
-    for name, stops in vehicle.stops.items():
-        for side, (sign, stop) in stops.sides.items():
-            most = max(0.0, float((sign * response[name][first:end]).max())), stop.stroke
+    for name, strokes in vehicle.strokes.items():
+        for side, stroke in strokes.items():
+            sign = -1.0 if side == SIDES[0] else 1.0
+            most = max(0.0, float((sign * response[name][first:end]).max())), stroke
             used[side] = max(used.get(side, most), most, key=lambda one: one[0] / one[1])
     return used
 
@@ -97,7 +99,7 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 
     A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
     """
-    where, stops, felt = points(vehicle), vehicle.stops, vehicle.ride_points
+    where, stops, felt = points(vehicle), vehicle.strokes, vehicle.ride_points
     forces = [name for name, *_ in where.actuators]
     return {
         RIDE.key: tuple(f"{name}_weighted" for name in felt.worst_of),

@@ -43,7 +43,7 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 from models.common.arrays import Array
 from models.common.printed import percent
 from models.roads.spectrum import Spectrum, longest_panel, sources
-from models.suspension.curve import ForceCurve
+from models.characteristics.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import Elements, elements

@@ -96,6 +96,6 @@ def travel_texts(cells: Cells) -> list[str]:
     """Describes how far a suspension without bump stops moves where no limit is reached; empty if every one has stops."""
     suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
-    if not len(whole) or len(cells.vehicle.stops) == len(suspensions):
+    if not len(whole) or len(cells.vehicle.strokes) == len(suspensions):
         return []
     return [f"Below the limits, travel reaches {TRAVEL.text(whole.max())}; the vehicle file has no bump stops."]

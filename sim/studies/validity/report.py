@@ -18,7 +18,7 @@ from models.document.picture import level
 from models.document.reading import write_rows
 from models.document.text import names_text
 from models.roads.road import Bump
-from models.suspension import LEAVES
+from models.characteristics import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End

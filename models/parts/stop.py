@@ -12,7 +12,7 @@ leaves out is taken from the section with more corners. So `[limits.rear]` may h
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -22,12 +22,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema, read
-from models.suspension import STOP, STOP_KEYS, STOP_NAMES
+from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
+from models.parts.part import BUMP_STOP, SIDES, Limit, Line, Part, Quantity
 
 if TYPE_CHECKING:
-    from models.suspension.curve import ForceCurve, Pieces
+    from models.characteristics.curve import ForceCurve
+    from models.kinds.kind import Suspension
+    from models.parts.native import Tendon
 
-SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
 SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
 ROUNDING = 1e-9  # of the largest force of a table: less is 0
@@ -55,8 +57,8 @@ class StopTable:
     @cached_property
     def curve(self) -> "ForceCurve":
         """The force over the compression of the stop, 0 before its first point."""
-        from models.suspension.curve import ForceCurve
-        from models.suspension.curve_reading import as_lines
+        from models.characteristics.curve import ForceCurve
+        from models.characteristics.curve_reading import as_lines
 
         x, force, words = as_lines(np.array(self.compression), np.array(self.force), self.fit_error)
         return ForceCurve(np.array([-1.0, *x]), np.array([0.0, *force]), 0.0, words)
@@ -125,8 +127,6 @@ class Stop:
         stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
     """
 
-    over_travel: ClassVar[bool] = False  # True for `models.suspension.motion_ratio.StopOverTravel`
-
     stroke: float
     stiffness: tuple[float, float, float] | StopTable
 
@@ -161,8 +161,11 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Stops:
+class Stops(Part):
     """Bump stops of a suspension, one for each side."""
+
+    stores: ClassVar[bool] = True
+    argument: ClassVar[Quantity] = "deflection"
 
     bump: Stop
     rebound: Stop
@@ -174,18 +177,13 @@ class Stops:
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
     def at_wheel(self, ratio: float) -> "Stops":
-        """Returns the stops that act so at the wheel, through a motion ratio."""
+        """See `Part.at_wheel`."""
         return self if ratio == 1 else Stops(self.bump.at_wheel(ratio), self.rebound.at_wheel(ratio))
 
     @property
-    def acts(self) -> bool:
+    def bent(self) -> bool:
         """True if they push back at all."""
         return self.bump.pushes or self.rebound.pushes
-
-    @property
-    def over_travel(self) -> bool:
-        """True if they act through a motion ratio that changes with travel."""
-        return self.bump.over_travel or self.rebound.over_travel
 
     @property
     def alike(self) -> bool:
@@ -193,50 +191,52 @@ class Stops:
         bump, rebound = self.bump.stiffness, self.rebound.stiffness
         return bump == rebound and not isinstance(bump, StopTable) and not bump[1]
 
-    def pull(self, deflection: Array) -> Array:
-        """Returns the force that pulls body and wheel together [N], at deflections from rest [m], shape (...)."""
-        return sum((sign * stop.acts(beyond) for sign, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`."""
+        return sum((sign * stop.acts(beyond) for sign, stop, beyond in self._squeezed(d)), np.zeros_like(d))
 
-    def work(self, deflection: Array) -> Array:
-        """Returns the energy that they store at deflections from rest [J], shape (...)."""
-        return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`."""
+        return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(d)), np.zeros_like(d))
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`: none touches at rest."""
+        return Line()
+
+    def limits(self) -> Sequence[Limit]:
+        """Returns the strokes."""
+        return [Limit(BUMP_STOP, "deflection", sign, stop.stroke) for sign, stop in self.sides.values()]
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
         """Returns sign, stop and how far it is compressed [m] for each side that has one."""
         return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
 
-    def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
-        """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).
+    @property
+    def native(self) -> bool:
+        """See `Part.native`."""
+        return True
 
-        Stops with tables have `pieces` instead; those over travel have neither.
+    def write(self, tendon: "Tendon") -> None:
+        """Writes springs with a dead band of the stroke; a stop with a table is the pieces of its curve. See `Part.write`.
 
-        Args:
-            rest: length of the suspension at rest [m].
+        If bump and rebound differ, each is a spring that is slack to the other side.
         """
-        low, high = rest - self.bump.stroke, rest + self.rebound.stroke
-        if self.over_travel:
-            return {}
+        low, high = tendon.rest - self.bump.stroke, tendon.rest + self.rebound.stroke
         if self.alike and not isinstance(self.bump.stiffness, StopTable):
-            return {"stop": ((low, high), self.bump.stiffness)}
-        springs = {}
+            tendon.add_spring("stop", (low, high), self.bump.stiffness)
+            return
         for side, (sign, stop) in self.sides.items():
-            if not isinstance(stop.stiffness, StopTable):
+            if isinstance(stop.stiffness, StopTable):
+                own = stop.stiffness.curve.pieces
+                bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
+                pieces = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])
+                tendon.add_pieces(f"stop_{side}", pieces)
+            else:
                 first, second, third = stop.stiffness
                 # Beyond the bump's end the spring's x is below 0.
                 slack = (low, SLACK) if sign < 0 else (-SLACK, high)
-                springs[f"stop_{side}"] = (slack, (first, sign * second, third))
-        return springs
-
-    @property
-    def pieces(self) -> "dict[str, Pieces]":
-        """The pieces of the force that pulls together, over the deflection, of each side with a table."""
-        pieces = {}
-        for side, (sign, stop) in self.sides.items():
-            if isinstance(stop.stiffness, StopTable) and not self.over_travel:
-                own = stop.stiffness.curve.pieces
-                bounds = (own.low, own.high) if sign > 0 else (-own.high, -own.low)
-                pieces[f"stop_{side}"] = replace(own, start=sign * (own.start + stop.stroke), low=bounds[0], high=bounds[1])
-        return pieces
+                tendon.add_spring(f"stop_{side}", slack, (first, sign * second, third))
 
     @property
     def words(self) -> str:
@@ -251,6 +251,12 @@ class Stops:
             return f"bump stops with tables at {where}{notes}"
         progressive = any(law[1:] != (0.0, 0.0) for law in laws if not isinstance(law, StopTable))
         return f"{'progressive ' * progressive}bump stops at {where}"
+
+    @classmethod
+    def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple[Part, str]]:
+        """Yields the stops of a suspension, from `[limits]`."""
+        if (own := vehicle.limits.stops(vehicle.kind.suspensions).get(place.deflection)) is not None:
+            yield own, ""
 
 
 @dataclass(frozen=True)
@@ -307,7 +313,7 @@ class StopStiffness(Key):
         """The JSON schema of a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        from models.suspension.curve_reading import StopTableSection
+        from models.characteristics.curve_reading import StopTableSection
 
         return {"anyOf": [number, several, json_schema(StopTableSection), {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
 
@@ -367,7 +373,7 @@ def _of_side(value: Any, side: str) -> Any:
 
 
 def _stop_table(value: Mapping[str, Any]) -> StopTable:
-    from models.suspension.curve_reading import StopTableSection
+    from models.characteristics.curve_reading import StopTableSection
 
     given = read(HERE, StopTableSection, value)
     x, force = (-values[::-1] for values in given.points)

@@ -1,6 +1,6 @@
 """A damper's force over velocity v and deflection d, as a table that is bilinear between its points.
 
-Both arguments are positive in extension, as in `models.suspension.curve`. Beyond its velocities the table continues with its last
+Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities the table continues with its last
 slopes; beyond its deflections it keeps its last column. With a ratio r of damper travel to suspension travel at each deflection,
 straight between these, the force along the suspension is
 
@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
-from models.suspension.curve import STRAIGHT, ForceCurve, slope_at_rest
+from models.characteristics.curve import STRAIGHT, ForceCurve, slope_at_rest
 
 NODES, WIDTH = 400, 6.0  # of the mean over a Gaussian deflection, and its half width in standard deviations
 

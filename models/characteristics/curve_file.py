@@ -23,10 +23,10 @@ from models.common.quantities import QUANTITIES, Heading, columns_in_words, left
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import QUANTITY, unit_size
-from models.suspension import RATIO, STOP, STOP_NAMES
-from models.suspension.curve_log import dissipation, velocity_of
-from models.suspension.measured_loop import mean_of_loop
-from models.suspension.surface_table import surface_columns
+from models.characteristics import RATIO, STOP, STOP_NAMES
+from models.characteristics.curve_log import dissipation, velocity_of
+from models.characteristics.measured_loop import mean_of_loop
+from models.characteristics.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.suspension.adjustable_dampers import Adjustable
-from models.suspension.curve import Pieces
+from models.parts.adjustable import Adjustable
+from models.characteristics.curve import Pieces
 
 STILL = 1e-150  # m/s, in place of a velocity of 0
 
 
 @dataclass(frozen=True, eq=False)
 class Bent:
-    """Deviations of the curves of N runs with m actuators each from their lines, as P pieces (`models.suspension.curve`).
+    """Deviations of the curves of N runs with m actuators each from their lines, as P pieces (`models.characteristics.curve`).
 
     Attributes:
-        shape: shape of h, see `models.suspension.damper`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
+        shape: shape of h, see `models.parts.damper_section`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
         soft: shape of the softest settings, likewise.
     """
 

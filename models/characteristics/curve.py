@@ -19,8 +19,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.suspension import LEAVES
-from models.suspension.curve_lines import lines_from_rest, slopes_at_rest
+from models.characteristics import LEAVES
+from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
 
 STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
 

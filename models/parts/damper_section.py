@@ -14,7 +14,7 @@ from the velocity then, and held until the next. If v is 0 and u* is not, v coun
 is the nominal one.
 
 Such a damper may be measured, as its force over velocity at its softest and at its firmest setting. With F_min and F_max these
-curves (`models.suspension`), and s from 0 to 1 the setting of the valve, the damper pulls with
+curves (`models.parts`), and s from 0 to 1 the setting of the valve, the damper pulls with
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
@@ -32,8 +32,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
-from models.suspension.curve import STRAIGHT, ForceCurve
-from models.suspension.curve_reading import VELOCITY, curve_of
+from models.characteristics.curve import STRAIGHT, ForceCurve
+from models.characteristics.curve_reading import VELOCITY, curve_of
 
 TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
 

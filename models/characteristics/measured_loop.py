@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import rough
-from models.suspension.curve import ForceCurve
+from models.characteristics.curve import ForceCurve
 
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"  # in the phrase about a loop; the second for dampers
 TURN = 0.1  # of the range: a smaller reversal is noise

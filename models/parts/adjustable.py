@@ -7,29 +7,32 @@ With c_s the nominal coefficient and c_s + d the set one, both together pull wit
 
     c_s v + g(v) + d h(v),
 
-where h is v except for a damper of two curves (`models.suspension.damper`), and g is the deviation of its nominal setting from
+where h is v except for a damper of two curves (`models.parts.damper_section`), and g is the deviation of its nominal setting from
 its line, plus that of the parallel curve.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.suspension import SuspensionParts
-from models.suspension.curve import ForceCurve
-from models.suspension.damper import Damper
-from models.suspension.fitted_curves import SuspensionCurve
-from models.suspension.surface import ForceSurface
+from models.characteristics.curve import ForceCurve
+from models.parts.damper_section import Damper
+from models.kinds.kind import Suspension
+from models.parts.native import Tendon
+from models.parts.part import CURVE, Limit, Line, Part, Quantity
+from models.characteristics.surface import ForceSurface
 
 COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
 ROUNDING = 1e-9  # relative to the force of curve and line
 
 
 @dataclass(frozen=True)
-class Adjustable:
+class Adjustable(Part):
     """Adjustable damper in its vehicle.
 
     Attributes:
@@ -38,9 +41,13 @@ class Adjustable:
         damper: limits of the damper.
         nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
-        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel.
+        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
+            of `Part`.
         over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
     """
+
+    inputs: ClassVar[int] = 1
+    argument: ClassVar[Quantity] = "velocity"
 
     force: str
     ending: str
@@ -49,6 +56,68 @@ class Adjustable:
     standing: ForceCurve | None = None
     ratio: float = 1.0
     over_travel: bool = False
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""
+        return self.ratio * self.ramp(self.ratio * v, u)
+
+    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.beyond`."""
+        own = self.ratio * v
+        set_force = u * self.shape(own)
+        return self.ratio * (set_force if self.standing is None else self.standing.pieces.force(own) + set_force)
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`: the nominal damper."""
+        return Line(0.0, self.ratio**2 * self.nominal)
+
+    @property
+    def kinked_at_rest(self) -> bool:
+        """See `Part.kinked_at_rest`."""
+        return self.standing is not None and bool((self.standing.pieces.start == 0).any())
+
+    @cached_property
+    def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """See `Part.curve`: of the nominal setting; None if it is straight."""
+        return self.standing and self.standing.at_wheel(self.ratio)
+
+    @property
+    def range(self) -> float:
+        """See `Part.range`."""
+        return np.inf if self.curve is None else self.curve.range
+
+    def limits(self) -> Sequence[Limit]:
+        """Returns the velocities at which the nominal setting leaves its line."""
+        if self.curve is None:
+            return ()
+        low, high = self.curve.left_at
+        return [Limit(CURVE, "velocity", sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+
+    def at_wheel(self, ratio: float) -> "Adjustable":
+        """See `Part.at_wheel`."""
+        return replace(self, ratio=self.ratio * ratio)
+
+    @property
+    def native(self) -> bool:
+        """See `Part.native`."""
+        return True
+
+    def write(self, tendon: Tendon) -> None:
+        """Writes what acts at every setting. See `Part.write`."""
+        if self.offset is not None:
+            tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
+
+    def write_input(self, tendon: Tendon, by_motor: bool) -> None:
+        """See `Part.write_input`."""
+        line, ramps = (1.0, ()) if self.damper.pair is None else (self.damper.pair.line, self.damper.pair.ramps)
+        shape = (0.0, ()) if by_motor else (line, ramps)
+        tendon.adjust_input(self.force, *shape, self.low, self.ratio, self.damper.bandwidth)
+
+    @classmethod
+    def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
+        """Yields the adjustable damper of a suspension, in its own travel."""
+        yield from ((replace(one, ratio=1.0), place.damping) for one in vehicle.adjustable if one.force == place.force)
 
     @property
     def coefficient(self) -> str:
@@ -91,8 +160,6 @@ class Adjustable:
 
         None if nothing but these acts.
         """
-        if self.over_travel:
-            return None
         if self.standing is None or self.damper.pair is None:
             return self.standing
         pair, x = self.damper.pair, np.union1d(self.standing.x, self.damper.pair.knots)
@@ -102,7 +169,7 @@ class Adjustable:
 
 def adjustable(
     dampers: Mapping[str, Damper],
-    suspensions: Sequence[SuspensionParts],
+    suspensions: Sequence[Suspension],
     parameters: Mapping[str, float],
     curves: Mapping[str, ForceCurve],
     tables: Collection[str] = (),
@@ -195,15 +262,3 @@ def check_measured(name: str, measured: Sequence[str], dampers: Sequence[Adjusta
                 f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
                 "suspension_velocity instead, or give numbers"
             )
-
-
-def softest(
-    curves: Sequence[SuspensionCurve], dampers: Sequence[Adjustable], pushed: Callable[[str], str]
-) -> tuple[SuspensionCurve, ...]:
-    """Returns the curves of suspensions, with `Adjustable.offset` for adjustable dampers; `pushed` has a deflection by force."""
-    bases = {pushed(damper.force): offset.at_wheel(damper.ratio) for damper in dampers if (offset := damper.offset) is not None}
-    replaced = []
-    for curve in curves:
-        base = bases.get(curve.deflection) if curve.damps else None
-        replaced.append(curve if base is None else replace(curve, curve=base))
-    return tuple(replaced)

@@ -6,10 +6,7 @@ and the preload N that carries the load W = r(0) N at rest, pulls at the wheel w
     P(d) = r(d) (F(D(d)) - N) + W,    P'(0) = r(0)^2 F'(0) - r'(0) N,
 
 and a damper of force G over its velocity with r(d) G(r(d) d'). Where r' differs on both sides of rest, the linear model has its
-mean. P is straight lines, as the curves of `models.suspension.curve_reading` are; the line about rest has the slope P'(0).
-
-A bump stop has no preload and no lines. An actuator pushes with r(d) u, where r is that at the start of each time step; a
-semi-active damper's coefficient acts through the same ratio.
+mean. `models.parts.ratio` has these forces, as of any other part.
 """
 
 from collections.abc import Callable
@@ -22,21 +19,16 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, read
-from models.suspension import RATIO
-from models.suspension.bump_stops import Stop, Stops
-from models.suspension.curve import ForceCurve, slope_at_rest
-from models.suspension.curve_lines import lines_from_rest
-from models.suspension.curve_reading import DEFLECTION, FORCE, MOST_LINES, TableSection
-from models.suspension.surface import ForceSurface, surface_of
+from models.characteristics import RATIO
+from models.characteristics.curve import ForceCurve, slope_at_rest
+from models.characteristics.curve_reading import DEFLECTION, FORCE, TableSection
+from models.characteristics.surface import ForceSurface, surface_of
 
-# Of the lines, over the largest force: the first with as few lines as MuJoCo has for a curve.
-ERRORS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05)
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
 FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest
-FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
-FINE = 801  # points of P, of which the lines take some
+FINE = 801  # points of P where it is drawn or averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +86,26 @@ class RatioTable:
             low, high = (low, d) if short else (d, high)
         return (low + high) / 2
 
+    @cached_property
+    def _segments(self) -> Array:
+        """Start, travel there, ratio there and its slope of each segment and of the constant ends, shape (4, n + 1)."""
+        x, r = self.x, self.ratio
+        at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
+        rest = int(np.searchsorted(x, 0.0, side="right")) - 1
+        at -= at[rest] + (r[rest] + self.at_rest) / 2 * -x[rest]
+        first, slope = np.concatenate([[0], np.arange(len(x))]), np.concatenate([[0.0], np.diff(r) / np.diff(x), [0.0]])
+        return np.stack([x[first], at[first], r[first], slope])
+
+    def ratio_and_travel(self, deflection: Array) -> tuple[Array, Array]:
+        """Returns r, and D [m], at deflections [m], shapes (...)."""
+        start, travel, ratio, slope = self._segments[:, self.x.searchsorted(deflection)]
+        s = deflection - start
+        turned = slope * s
+        return ratio + turned, travel + s * (ratio + turned / 2)
+
     def travel(self, deflection: Array) -> Array:
         """Returns D [m] at deflections [m], shape (...)."""
-        d = np.clip(deflection, self.x[0], self.x[-1])
-        i = np.clip(np.searchsorted(self.x, d) - 1, 0, len(self.x) - 2)
-        at = np.concatenate([[0.0], np.cumsum((self.ratio[1:] + self.ratio[:-1]) / 2 * np.diff(self.x))])
-        within = at[i] + (self.ratio[i] + self(d)) / 2 * (d - self.x[i])
-        rest = int(np.searchsorted(self.x, 0.0, side="right")) - 1
-        to_rest = at[rest] + (self.ratio[rest] + self.at_rest) / 2 * -self.x[rest]
-        return within - to_rest + self(d) * (deflection - d)
+        return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
         """Returns the deflections [m] at travels [m] of the element, shape (...), by Newton's method: D rises everywhere."""
@@ -111,34 +114,20 @@ class RatioTable:
             d = d - (self.travel(d) - travel) / self(d)
         return d
 
-    def spring(self, curve: ForceCurve | None, rate: float, load: float) -> ForceCurve:
-        """Returns P of a spring that carries a load W [N] at rest, by its curve, or None for one of a constant rate."""
-        curve = curve or line(rate, *self.travel(self.x[[0, -1]]).tolist())
-        preload = load / self.at_rest
+    def spring(self, curve: ForceCurve, load: float) -> ForceCurve:
+        """Returns P of a spring that carries a load W [N] at rest, at `FINE` points."""
         slope = self.at_rest**2 * curve.slope - self.turn * load
         reach = [*self.x, *self.deflection(curve.x)]
-        # Twice as far all is straight.
-        x = np.unique([0.0, *reach, *np.linspace(min(reach), max(reach), FINE), 2 * min(reach), 2 * max(reach)])
+        x = np.unique([0.0, *reach, *np.linspace(min(reach), max(reach), FINE)])
+        force = self(x) * (curve(self.travel(x)) - load / self.at_rest) + load
+        return ForceCurve(x, np.where(x == 0, 0.0, force), slope, f"{curve.words}, at its motion ratio")
 
-        def pull(d: Array) -> Array:
-            return self(d) * (curve(self.travel(d)) - preload) + load
-
-        force = pull(x)
-        largest = float(np.abs(force[1:-1]).max())
-        by_error = ((error, lines_from_rest(x, force, (slope, slope), error * largest / 2)) for error in ERRORS)
-        error, lines = next((one for one in by_error if len(one[1][0]) <= MOST_LINES + 1), (0.0, (x, force)))
-        if not error:
-            raise InputError(f"the motion ratio turns this curve into more than {MOST_LINES} straight lines; smooth their tables")
-        words = f"{curve.words}, at its motion ratio {len(lines[0]) - 1} straight lines within {100 * error:g} %"
-        return ForceCurve(*lines, slope, words)
-
-    def damper(self, curve: ForceCurve | None, rate: float) -> ForceSurface:
-        """Returns the force of a damper at the wheel over velocity and deflection; arguments as for a spring.
+    def damper(self, curve: ForceCurve) -> ForceSurface:
+        """Returns the force of a damper at the wheel over velocity and deflection.
 
         One that is position-dependent has the forces of its table at the deflections of both tables and at `COLUMNS` more, and is
         straight between.
         """
-        curve = curve or line(rate, -FAST, FAST)
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
             ends, v = self.deflection(curve.deflections), curve.velocities
@@ -147,48 +136,10 @@ class RatioTable:
         surface = surface_of(v, d, table, f"{curve.words}, at its motion ratio", self(d))
         return replace(surface, slope=self.at_rest**2 * curve.slope)
 
-    def stops(self, stops: Stops) -> Stops:
-        """Returns bump stops as they act at the wheel."""
-        both = {}
-        for side, (sign, stop) in stops.sides.items():
-            begins = abs(float(self.deflection(np.array(sign * stop.stroke))))
-            both[side] = StopOverTravel(begins, stop.stiffness, sign, stop, self)
-        return replace(stops, **both)
-
     @cached_property
     def key(self) -> bytes:
         """Equal for tables with the same ratios."""
         return self.x.tobytes() + self.ratio.tobytes()
-
-
-@dataclass(frozen=True)
-class StopOverTravel(Stop):
-    """Bump stop at the wheel, through a motion ratio r(d) that changes with travel: r(d) F(D(d) - stroke).
-
-    Attributes:
-        sign: sign of its side's deflection.
-        own: the stop itself.
-        table: the motion ratio.
-    """
-
-    over_travel: ClassVar[bool] = True
-
-    sign: float
-    own: Stop
-    table: RatioTable
-
-    def acts(self, beyond: Array) -> Array:
-        """See `Stop.acts`."""
-        return self.table(self.sign * (self.stroke + beyond)) * self.own.acts(self._compressed(beyond))
-
-    def work(self, beyond: Array) -> Array:
-        """See `Stop.work`."""
-        return self.own.work(self._compressed(beyond))
-
-    def _compressed(self, beyond: Array) -> Array:
-        """Returns the compression of the stop itself [m]."""
-        travel = self.sign * self.table.travel(self.sign * (self.stroke + beyond))
-        return np.where(beyond > 0, np.maximum(travel - self.own.stroke, 0.0), 0.0)
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:

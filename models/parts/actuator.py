@@ -1,0 +1,39 @@
+"""Actuator at a motion ratio over travel. Where the ratio is constant, the linear model has all of its force."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.kind import Suspension
+from models.parts.part import Line, Part
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator(Part):
+    """Force that pushes body and wheel apart with its input u [N]."""
+
+    inputs: ClassVar[int] = 1
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`."""
+        return np.negative(u)
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`."""
+        return Line(gain=-1.0)
+
+    @property
+    def bent(self) -> bool:
+        """See `Part.bent`."""
+        return False
+
+    @classmethod
+    def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
+        """Yields the actuator of a suspension whose motion ratio changes with travel."""
+        inputs = vehicle.linear_model.inputs
+        if place.deflection in vehicle.ratio_tables and place.force in inputs and place.force not in vehicle.dampers:
+            yield cls(), ""

@@ -1,0 +1,31 @@
+"""Damper with a curve of force over velocity: `[curves] suspension_damping`."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from models.characteristics.ratio_table import line
+from models.characteristics.surface import ForceSurface
+from models.kinds.kind import Suspension
+from models.parts.characteristic import Characteristic
+from models.parts.part import Part, Quantity
+
+FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
+
+
+@dataclass(frozen=True, eq=False)
+class Damper(Characteristic):
+    """Damper with a curve."""
+
+    argument: ClassVar[Quantity] = "velocity"
+
+    @classmethod
+    def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
+        """Yields the damper of a suspension, unless it is adjustable: its curve, or its line at a motion ratio over travel."""
+        name, curve = place.damping, vehicle.curves.get(place.damping)
+        if place.force in vehicle.dampers or isinstance(curve, ForceSurface):
+            return
+        if curve is not None:
+            yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
+        elif place.deflection in vehicle.ratio_tables and name in vehicle.parameters:
+            yield cls(line(1.0, -FAST, FAST), vehicle.parameters[name]), name

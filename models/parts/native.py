@@ -1,0 +1,150 @@
+"""Parts in forms native to MuJoCo: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
+
+An actuator with zero control, a bias that is affine in length and speed, and a `forcerange` that clips it, is one straight piece
+of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
+a damping ratio.) The suspension's own spring and damper stay, with the part's line at rest; the pieces add the deviation.
+
+A part without such a form has a motor, which `sim.physics.part_steps` controls in every stage of RK4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from models.characteristics.curve import Pieces
+from models.common.errors import InputError
+from models.parts.part import SuspensionPart
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+
+UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
+SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
+MOTOR = "part_"  # begins the name of a motor, after the prefix and before the tendon
+
+
+@dataclass(frozen=True)
+class Tendon:
+    """Tendon of a suspension in an `MjSpec`, on which a part writes.
+
+    Attributes:
+        spec: the model, its parameters written into it.
+        name: name of the tendon.
+        rest: its length at rest [m].
+        prefix: beginning of the names of actuators that a part adds.
+    """
+
+    spec: Any
+    name: str
+    rest: float
+    prefix: str
+
+    def add_pieces(self, name: str, pieces: Pieces, over_speed: bool = False) -> None:
+        """Adds pieces of a force that pulls the tendon's ends together, over its deflection or its speed."""
+        length = 0.0 if over_speed else self.rest
+        for i in range(len(pieces.slope)):
+            actuator = self._actuator(f"{self.prefix}{name}_{self.name}_{i + 1}")
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            slope, start = float(pieces.slope[i]), float(pieces.start[i])
+            # A curve pulls together where it is positive, and an actuator's force stretches its tendon.
+            along = [0.0, -slope] if over_speed else [-slope, 0.0]
+            actuator.biasprm[:3] = [slope * (start + length), *along]
+            actuator.forcelimited = True
+            actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -UNBOUNDED, UNBOUNDED)
+
+    def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
+        """Adds a spring beside the tendon, f = -(a x + b x^2 + c x^3), with a dead band of lengths [m]."""
+        spring = self.spec.add_tendon(name=f"{name}_{self.name}")
+        spring.stiffness[:] = stiffness
+        spring.springlength = slack
+        for wrap in self.spec.tendon(self.name).path:
+            if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT:
+                spring.wrap_joint(wrap.target.name, wrap.coef)
+            else:
+                spring.wrap_site(wrap.target.name)
+
+    def add_motor(self) -> None:
+        """Adds the motor whose control is a pull [N]."""
+        self._actuator(f"{self.prefix}{MOTOR}{self.name}").gainprm[0] = -1.0
+
+    def adjust_input(
+        self, force: str, line: float, ramps: Sequence[tuple[float, float, int]], low: float, ratio: float, lag: float | None
+    ) -> None:
+        """Replaces the motor of an input by an adjustable damper: the control is c - c_s, the force -(c - c_s) h(v).
+
+        h is a line and ramps that begin at knots, one actuator each, with the same control. A ramp gives (c - c_min) a (v - k),
+        which has one sign beyond its knot k, and is clipped to zero on the other side.
+
+        Args:
+            line: slope of h at rest.
+            ramps: knot [m/s], slope and side of each.
+            low: the least c - c_s [N s/m].
+            ratio: motion ratio.
+            lag: bandwidth of the valve [rad/s], or None.
+
+        Raises:
+            InputError: the actuator is not a motor of gear 1 on the tendon.
+        """
+        actuator = next((one for one in self.spec.actuators if one.name == force), None)
+        if actuator is None or (actuator.target, float(actuator.gear[0])) != (self.name, 1.0):
+            raise InputError(
+                f"for the damper of [actuators], the actuator {force!r} must be a motor with gear 1 on the tendon {self.name!r}; "
+                "change this actuator, or omit [actuators]"
+            )
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
+        actuator.gainprm[:3] = [0.0, 0.0, -line]
+        parts = [actuator]
+        for number, (knot, slope, side) in enumerate(ramps, 1):
+            ramp = self._actuator(f"{self.prefix}{force}_{number}")
+            ramp.gear[0] = ratio
+            ramp.gaintype, ramp.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
+            ramp.gainprm[:3] = [slope * knot, 0.0, -slope]
+            ramp.biasprm[:3] = [-low * slope * knot, 0.0, low * slope]
+            ramp.forcelimited = True
+            ramp.forcerange = [-UNBOUNDED, 0.0] if slope * side > 0 else [0.0, UNBOUNDED]
+            parts.append(ramp)
+        if lag is not None:
+            for part in parts:
+                part.dyntype = mujoco.mjtDyn.mjDYN_FILTER  # integrated with the rest by RK4
+                part.dynprm[0] = 1 / lag
+
+    def _actuator(self, name: str) -> Any:
+        actuator = self.spec.add_actuator(name=name, target=self.name)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+        return actuator
+
+
+def check_line(tendon: Any, one: SuspensionPart) -> None:
+    """Refuses a tendon with another stiffness or damping than the parameter that a part replaces."""
+    if not one.parameter:
+        return
+    line = one.part.line
+    own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
+    if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
+        raise InputError(
+            f"the tendon {one.tendon!r} has the value {own:g}, but {one.parameter} is {slope:g}, so a curve cannot replace it; "
+            "let write_mjcf write the parameter, or omit the curve"
+        )
+
+
+def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
+    """Adds velocity sensors for lengths that have sensors.
+
+    Args:
+        deflections: pairs of signals, velocity and length.
+
+    Raises:
+        InputError: a length is read by another sensor than one of a tendon or a joint.
+    """
+    kind, sensors = mujoco.mjtSensor, {sensor.name: sensor for sensor in spec.sensors}
+    speeds = {kind.mjSENS_TENDONPOS: kind.mjSENS_TENDONVEL, kind.mjSENS_JOINTPOS: kind.mjSENS_JOINTVEL}
+    for velocity, deflection in deflections:
+        length = sensors.get(deflection)
+        if length is None or length.type not in speeds:
+            raise InputError(f"{velocity!r} needs a sensor {deflection!r} of the length of a tendon or joint; add this sensor")
+        sensor = spec.add_sensor(name=velocity, type=speeds[length.type], objtype=length.objtype, objname=length.objname)
+        sensor.userdata = list(length.userdata)

@@ -1,0 +1,273 @@
+"""A part of a suspension: a force between body and wheel, and all that the project asks of one.
+
+A part pulls the ends of its suspension together with F(d, v, z, u): d is the extension from rest and v its rate, both positive
+where the suspension stretches; z are states of the part's own, and u its inputs. Linear analysis has its line at rest,
+
+    F = k d + c v + b v' + g u,
+
+and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder and a line in
+`models.parts.PARTS`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+
+from models.characteristics import LEAVES
+from models.common.arrays import Array
+
+if TYPE_CHECKING:
+    from models.characteristics.curve import ForceCurve
+    from models.characteristics.surface import ForceSurface
+    from models.kinds.kind import Suspension
+    from models.parts.native import Tendon
+
+Quantity = Literal["deflection", "velocity", "force"]
+STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
+CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
+SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
+
+
+@dataclass(frozen=True)
+class Line:
+    """What linear analysis knows of a part at rest: pull = k d + c v + g u.
+
+    Attributes:
+        stiffness: k [N/m].
+        damping: c [N s/m].
+        gain: g, force per unit of the input; 0 without one.
+        of_preload: part of k by a preload at a motion ratio over travel [N/m].
+    """
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    gain: float = 0.0
+    of_preload: float = 0.0
+
+    def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
+        """Returns the pull of the line [N], shape (...)."""
+        return self.stiffness * d + self.damping * v + self.gain * u
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Limit at which a part ends the linear regime.
+
+    Attributes:
+        end: name of the end, as in `sim.response.regime`.
+        of: what reaches the limit: deflection or velocity of the suspension, or the force beyond the line.
+        sign: sign of the side with the limit; 0 for both.
+        value: limit of that side, or of the magnitude [m, m/s or N].
+    """
+
+    end: str
+    of: Quantity
+    sign: float
+    value: float
+
+
+class Part(ABC):
+    """Force along a suspension. Arrays have any shape (...); states and inputs are on a last axis of their own.
+
+    A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N runs side by side (`stacked`).
+    """
+
+    states: ClassVar[int] = 0
+    inputs: ClassVar[int] = 0
+    stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
+    argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
+
+    @abstractmethod
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """Returns the force that pulls body and wheel together [N], shape (...).
+
+        Args:
+            d, v: extension of the suspension [m] and its rate [m/s], shape (...).
+            z: states, shape (..., states).
+            u: input, shape (...).
+        """
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """Returns the rates of its states, shape (..., states). Arguments as for `pull`."""
+        return np.zeros((*np.shape(d), 0))
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """Returns the stored energy [J], shape (...)."""
+        return np.zeros(np.shape(d))
+
+    @cached_property
+    def line(self) -> Line:
+        """Derivative at rest, by complex steps."""
+        step, at = STEP * 1j, np.zeros((), dtype=complex)
+        along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
+        return Line(*(float(np.imag(self.pull(d, v, np.zeros(self.states), u))) / STEP for d, v, u in along))
+
+    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
+        return self.pull(d, v, z, u) - self.line(d, v, u)
+
+    def stored_beyond(self, d: Array, z: Any = None) -> Array:
+        """Returns the stored energy without that of the line [J], shape (...)."""
+        return self.stored(d, z) - self.line.stiffness * np.square(d) / 2
+
+    @property
+    def bent(self) -> bool:
+        """False if the force is that of its line everywhere."""
+        return True
+
+    @property
+    def range(self) -> float:
+        """The largest force that it is made for, either way [N]; infinite if this is unknown."""
+        return np.inf
+
+    @property
+    def acts(self) -> bool:
+        """False if nothing is beyond the line."""
+        return self.bent or bool(self.inputs)
+
+    @property
+    def kinked_at_rest(self) -> bool:
+        """True if no motion is small enough for the line."""
+        return False
+
+    def limits(self) -> Sequence[Limit]:
+        """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""
+        return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.bent and np.isfinite(self.range) else ()
+
+    @property
+    def curve(self) -> "ForceCurve | None":
+        """The force over velocity or deflection alone; None if it depends on more, or is drawn otherwise."""
+        return None
+
+    def at_wheel(self, ratio: float) -> "Part":
+        """Returns the part that acts so at the wheel, through a constant motion ratio."""
+        if ratio == 1:
+            return self
+        from models.parts.ratio import AtRatio, Constant
+
+        return AtRatio(self, Constant(), ratio)
+
+    @property
+    def native(self) -> bool:
+        """True if `write` has a form native to MuJoCo for what is beyond the line."""
+        return False
+
+    def write(self, tendon: "Tendon") -> None:
+        """Writes what is beyond the line into an MjSpec, in a form native to MuJoCo."""
+        raise NotImplementedError(f"{type(self).__name__} has no form native to MuJoCo")
+
+    def write_input(self, tendon: "Tendon", by_motor: bool) -> None:
+        """Writes what the actuator of its input does in an MjSpec.
+
+        Args:
+            by_motor: True if a motor pulls with what is beyond the line.
+        """
+
+    @property
+    def words(self) -> str:
+        """The part in a phrase."""
+        return type(self).__name__
+
+
+@dataclass(frozen=True, eq=False)
+class SuspensionPart:
+    """Part at its place in a vehicle.
+
+    Attributes:
+        place: the suspension.
+        part: the part at the wheel.
+        parameter: parameter of the vehicle that is the part's line; empty if its line is no parameter.
+        ratio: motion ratio at rest.
+    """
+
+    place: "Suspension"
+    part: Part
+    parameter: str
+    ratio: float
+
+    @property
+    def deflection(self) -> str:
+        """Signal of the suspension."""
+        return self.place.deflection
+
+    @property
+    def tendon(self) -> str:
+        """Name of the suspension's tendon in the MJCF."""
+        return self.place.tendon
+
+    @property
+    def damps(self) -> bool:
+        """True if the curve of the part is over velocity."""
+        return self.part.argument != "deflection"
+
+    @property
+    def argument(self) -> str:
+        """Name of the signal on which the curve of the part depends."""
+        return self.place.velocity.name if self.damps else self.place.deflection
+
+    @property
+    def curve(self) -> "ForceCurve":
+        """The curve of a part that has one."""
+        assert self.part.curve is not None, "a part with a curve"
+        return self.part.curve
+
+    @property
+    def surface(self) -> "ForceSurface | None":
+        """The curve of a damper over velocity and deflection; None if it depends on one of them."""
+        from models.characteristics.surface import ForceSurface
+
+        return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
+
+
+class Stack:
+    """Parts of N runs at one place, evaluated together where they differ in numbers alone."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        groups: list[tuple[list[Part], list[int]]] = []
+        for i, part in enumerate(parts):
+            for members, rows in groups:
+                if part is members[0] or _merged([members[0], part]) is not None:
+                    members.append(part)
+                    rows.append(i)
+                    break
+            else:
+                groups.append(([part], [i]))
+        self._groups = [(part, np.array(rows)) for members, rows in groups if (part := _merged(members)) is not None]
+
+    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.beyond`, for arrays of shape (..., N)."""
+        if len(self._groups) == 1:
+            return self._groups[0][0].beyond(d, v, z, u)
+        total = np.empty(np.shape(d))
+        for part, rows in self._groups:
+            own = None if z is None else z[..., rows, :]
+            total[..., rows] = part.beyond(d[..., rows], v[..., rows], own, u if np.ndim(u) == 0 else u[..., rows])
+        return total
+
+
+def _merged(parts: Sequence[Part]) -> Part | None:
+    """Returns parts that differ in numbers alone as one, whose numbers are arrays; None if they differ in more."""
+    first = parts[0]
+    if all(part is first for part in parts):
+        return first
+    if any(type(part) is not type(first) for part in parts):
+        return None
+    changed: dict[str, Any] = {}
+    for one in fields(first):  # pyright: ignore[reportArgumentType]
+        values = [getattr(part, one.name) for part in parts]
+        if all(value is values[0] for value in values):
+            continue
+        if isinstance(values[0], Part):
+            changed[one.name] = _merged(values)
+            if changed[one.name] is None:
+                return None
+        elif all(isinstance(value, float) for value in values):
+            if any(value != values[0] for value in values):
+                changed[one.name] = np.array(values)
+        elif any(bool(np.any(value != values[0])) for value in values):
+            return None
+    return replace(first, **changed) if changed else first  # pyright: ignore[reportArgumentType]

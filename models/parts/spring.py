@@ -1,0 +1,38 @@
+"""Spring with a curve of force over deflection: `[curves] suspension_stiffness`."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from models.characteristics.ratio_table import line
+from models.common.arrays import Array
+from models.kinds.kind import Suspension
+from models.parts.characteristic import Characteristic
+from models.parts.part import Part, Quantity
+
+
+@dataclass(frozen=True, eq=False)
+class Spring(Characteristic):
+    """Spring with a curve."""
+
+    argument: ClassVar[Quantity] = "deflection"
+    stores: ClassVar[bool] = True
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`."""
+        return self.stored_beyond(d) + self.line.stiffness * np.square(d) / 2
+
+    def stored_beyond(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored_beyond`."""
+        return self.factor * self.own.work(self.ratio * d)
+
+    @classmethod
+    def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
+        """Yields the spring of a suspension: its curve, or its line where the motion ratio turns the line over travel."""
+        name, curve = place.stiffness, vehicle.curves.get(place.stiffness)
+        if curve is not None:
+            yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
+        elif (table := vehicle.ratio_tables.get(place.deflection)) is not None and name in vehicle.parameters:
+            yield cls(line(1.0, *table.travel(table.x[[0, -1]]).tolist()), vehicle.parameters[name]), name
