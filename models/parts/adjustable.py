@@ -73,6 +73,11 @@ class Adjustable(Part):
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
+    def bent(self) -> bool:
+        """True if the nominal setting differs from its line."""
+        return self.standing is not None and self.standing.bent
+
+    @property
     def kinked_at_rest(self) -> bool:
         """See `Part.kinked_at_rest`."""
         return self.standing is not None and bool((self.standing.pieces.start == 0).any())

@@ -3,10 +3,10 @@
 A part pulls the ends of its suspension together with F(d, v, z, u): d is the extension from rest and v its rate, both positive
 where the suspension stretches; z are states of the part's own, and u its inputs. Linear analysis has its line at rest,
 
-    F = k d + c v + b v' + g u,
+    F = k d + c v + g u,
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder and a line in
-`models.parts.PARTS`.
+`models.parts.registry.PARTS`.
 """
 
 from abc import ABC, abstractmethod
@@ -78,6 +78,7 @@ class Part(ABC):
 
     states: ClassVar[int] = 0
     inputs: ClassVar[int] = 0
+    contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
 
@@ -104,7 +105,7 @@ class Part(ABC):
         """Derivative at rest, by complex steps."""
         step, at = STEP * 1j, np.zeros((), dtype=complex)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        return Line(*(float(np.imag(self.pull(d, v, np.zeros(self.states), u))) / STEP for d, v, u in along))
+        return Line(*(np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
@@ -172,6 +173,14 @@ class Part(ABC):
         """The part in a phrase."""
         return type(self).__name__
 
+    @classmethod
+    def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
+        """Yields the parts of a suspension that follow from other sections than `[parts]`, in their own travel.
+
+        Each is with the parameter that is its line, or an empty text for one whose line is no parameter.
+        """
+        yield from ()
+
 
 @dataclass(frozen=True, eq=False)
 class SuspensionPart:
@@ -200,6 +209,18 @@ class SuspensionPart:
         return self.place.tendon
 
     @property
+    def native(self) -> bool:
+        """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
+        line = self.part.line
+        return self.part.native and (bool(self.parameter) or not (line.stiffness or line.damping))
+
+    @property
+    def acts(self) -> bool:
+        """True if something is beyond the vehicle's own springs and dampers."""
+        line = self.part.line
+        return self.part.acts or (not self.parameter and bool(line.stiffness or line.damping))
+
+    @property
     def damps(self) -> bool:
         """True if the curve of the part is over velocity."""
         return self.part.argument != "deflection"
@@ -223,6 +244,31 @@ class SuspensionPart:
         return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
 
 
+@dataclass(frozen=True)
+class Straight(Part):
+    """Line of another part."""
+
+    at_rest: Line
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`."""
+        return self.at_rest(d, v, u)
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`."""
+        return self.at_rest.stiffness * np.square(d) / 2
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`."""
+        return self.at_rest
+
+    @property
+    def bent(self) -> bool:
+        """See `Part.bent`."""
+        return False
+
+
 class Stack:
     """Parts of N runs at one place, evaluated together where they differ in numbers alone."""
 
@@ -238,15 +284,23 @@ class Stack:
                 groups.append(([part], [i]))
         self._groups = [(part, np.array(rows)) for members, rows in groups if (part := _merged(members)) is not None]
 
-    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`, for arrays of shape (..., N)."""
+    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0, line: bool = False) -> Array:
+        """See `Part.beyond`, for arrays of shape (..., N).
+
+        Args:
+            line: True adds the line's force without that of the input.
+        """
         if len(self._groups) == 1:
-            return self._groups[0][0].beyond(d, v, z, u)
+            return _beyond(self._groups[0][0], d, v, z, u, line)
         total = np.empty(np.shape(d))
         for part, rows in self._groups:
-            own = None if z is None else z[..., rows, :]
-            total[..., rows] = part.beyond(d[..., rows], v[..., rows], own, u if np.ndim(u) == 0 else u[..., rows])
+            own, inputs = None if z is None else z[..., rows, :], u if np.ndim(u) == 0 else u[..., rows]
+            total[..., rows] = _beyond(part, d[..., rows], v[..., rows], own, inputs, line)
         return total
+
+
+def _beyond(part: Part, d: Array, v: Array, z: Any, u: Any, line: bool) -> Array:
+    return part.beyond(d, v, z, u) + part.line(d, v) if line else part.beyond(d, v, z, u)
 
 
 def _merged(parts: Sequence[Part]) -> Part | None:

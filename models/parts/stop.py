@@ -164,6 +164,7 @@ class Stop:
 class Stops(Part):
     """Bump stops of a suspension, one for each side."""
 
+    contact: ClassVar[bool] = True
     stores: ClassVar[bool] = True
     argument: ClassVar[Quantity] = "deflection"
 

@@ -18,21 +18,23 @@ class SuspensionForces:
         acts: True for each suspension that has a force beyond the linear model, shape (s,).
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False) -> None:
+    def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True) -> None:
         """Takes N vehicles, or one for any number of runs.
 
         Args:
             by_motor: True for parts alone that have no form native to MuJoCo.
+            whole: True adds the lines of parts that are no parameters, which linear models have, but not the kinds' equations.
         """
         first, inputs = vehicles[0], vehicles[0].linear_model.inputs
         places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}
         self.acts = np.zeros(len(places), dtype=bool)
-        self._stacks: list[tuple[int, int | None, Stack]] = []
+        self._stacks: list[tuple[int, int | None, Stack, bool]] = []
         for k, one in enumerate(first.parts):
-            if not one.part.acts or (by_motor and one.part.native):
+            line = whole and not one.parameter
+            if not (one.part.acts or (line and one.acts)) or (by_motor and one.native):
                 continue
             own = inputs.index(one.place.force) if one.part.inputs else None
-            self._stacks.append((places[one.deflection], own, Stack([vehicle.parts[k].part for vehicle in vehicles])))
+            self._stacks.append((places[one.deflection], own, Stack([vehicle.parts[k].part for vehicle in vehicles]), line))
             self.acts[places[one.deflection]] = True
 
     def __call__(self, d: Array, v: Array, inputs: Array) -> Array:
@@ -44,6 +46,6 @@ class SuspensionForces:
                 [N s/m], shape (..., N, m).
         """
         pulls = np.zeros_like(d)
-        for i, j, parts in self._stacks:
-            pulls[..., i] += parts.beyond(d[..., i], v[..., i], None, 0.0 if j is None else inputs[..., j])
+        for i, j, parts, line in self._stacks:
+            pulls[..., i] += parts.beyond(d[..., i], v[..., i], None, 0.0 if j is None else inputs[..., j], line)
         return pulls

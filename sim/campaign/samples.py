@@ -130,15 +130,20 @@ def read_samples(
 def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
     """Returns the sampled parameters of a vehicle."""
     parameters = {parameter.name: parameter for parameter in vehicle.kind.parameters}
+    elements = {key: one for element in vehicle.elements for key, one in element.numbers.items()}
     own = {**vehicle.parameters, **{damper: value for damper, (value, _) in _of_dampers(vehicle).items()}}
+    own |= {key: value for key, (value, _) in elements.items()}
 
     def check(key: str, value: float) -> None:
         if key in parameters:
             parameters[key].check(value)
+        elif key in elements:
+            elements[key][1].number(key, value)
         else:
             SI("", low=0.0).number(key, value)
 
     units = {key: parameter.unit for key, parameter in parameters.items()}
+    units |= {key: one.unit for key, (_, one) in elements.items()}
     samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)
     for sample in samples:
         with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
@@ -200,5 +205,6 @@ def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
     for name in (one for one in known if one in sample):
         for force in known[name][1]:
             dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
-    parameters = {name: value for name, value in sample.items() if name not in known}
-    return vehicle.altered(parameters, dampers=dampers)
+    elements = tuple(one.sampled(sample) for one in vehicle.elements)
+    parameters = {name: value for name, value in sample.items() if name in vehicle.parameters}
+    return vehicle.altered(parameters, dampers=dampers, elements=elements)

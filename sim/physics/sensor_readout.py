@@ -76,7 +76,7 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
-    if any(one.part.acts and not one.part.native for one in vehicles[0].parts):
+    if any(one.acts and not one.native for one in vehicles[0].parts):
         from sim.physics.surface_steps import SurfaceBatch
 
         batch: Batch = SurfaceBatch(model, vehicles, models)
