@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.errors import InputError
 from models.characteristics import LEAVES
 from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
+from models.common.arrays import Array
+from models.common.errors import InputError
 
 STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
 

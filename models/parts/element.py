@@ -45,7 +45,9 @@ class Element:
         """Numbers that a campaign may sample, each with its unit and range, by `NAME.key`."""
         section = type(self.part) if isinstance(self.part, Section) else Section
         own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
-        return {f"{self.name}.{key}": (value, one) for key, one in own.items() if isinstance(value := getattr(self.part, key), float)}
+        return {
+            f"{self.name}.{key}": (value, one) for key, one in own.items() if isinstance(value := getattr(self.part, key), float)
+        }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
         """Returns the element with other numbers, by `NAME.key`; itself if none is its own."""
@@ -72,7 +74,11 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[E
         where = f"[parts.{name}]"
         if not isinstance(given, Mapping):
             raise InputError(f"[parts] {name} is not a section; write [parts.NAME] with kind = ..., one of {listing(kinds)}")
-        common = {key: [one] if key == "at" and isinstance(one := given[key], str) else given[key] for key in keys(Place) if key in given}
+        common = {
+            key: [one] if key == "at" and isinstance(one := given[key], str) else given[key]
+            for key in keys(Place)
+            if key in given
+        }
         place = read(where, Place, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")

@@ -10,7 +10,7 @@ and everything that runs the vehicle adds what is beyond that line. A new part i
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -21,7 +21,9 @@ from models.characteristics import LEAVES
 from models.common.arrays import Array
 
 if TYPE_CHECKING:
+    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
+    from models.characteristics.curve_reading import Argument
     from models.characteristics.surface import ForceSurface
     from models.kinds.kind import Suspension
     from models.parts.native import Tendon
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
 Quantity = Literal["deflection", "velocity", "force"]
 STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
 CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
-SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Part(ABC):
 
     states: ClassVar[int] = 0
     inputs: ClassVar[int] = 0
+    replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
@@ -167,6 +169,7 @@ class Part(ABC):
         Args:
             by_motor: True if a motor pulls with what is beyond the line.
         """
+        return  # most parts have no input
 
     @property
     def words(self) -> str:
@@ -242,6 +245,58 @@ class SuspensionPart:
         from models.characteristics.surface import ForceSurface
 
         return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
+
+
+@dataclass(frozen=True)
+class SettablePart(Part):
+    """Damper whose coefficient a valve sets: its input is the coefficient beyond the nominal one [N s/m].
+
+    Attributes:
+        force: the input that it replaces, its force beyond the nominal damper's.
+        ending: suffix of the names at its suspension.
+        damper: limits of the coefficient.
+        nominal: coefficient of the linear model [N s/m].
+    """
+
+    inputs: ClassVar[int] = 1
+
+    force: str
+    ending: str
+    damper: "Damper"
+    nominal: float
+
+    @property
+    def coefficient(self) -> str:
+        """The signal of the acting coefficient."""
+        return f"damping{self.ending}"
+
+    @property
+    def missing(self) -> str:
+        """The signal of the requested force that it does not give."""
+        return f"missing_force{self.ending}"
+
+    @property
+    def low(self) -> float:
+        """The least coefficient beyond the nominal one [N s/m]."""
+        return self.damper.c_min - self.nominal
+
+    @property
+    def high(self) -> float:
+        """The largest coefficient beyond the nominal one [N s/m]."""
+        return self.damper.c_max - self.nominal
+
+    @property
+    @abstractmethod
+    def steepest_slope(self) -> float:
+        """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
+
+    @abstractmethod
+    def shape(self, v: Array) -> Array:
+        """Returns the force per coefficient at velocities of the damper's own [m/s], shape (...)."""
+
+    @abstractmethod
+    def ramp(self, v: Array, beyond: Array | float) -> Array:
+        """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
 
 
 @dataclass(frozen=True)

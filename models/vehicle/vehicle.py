@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing
@@ -22,7 +23,7 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
-from models.parts.part import BUMP_STOP, SIDES
+from models.parts.part import BUMP_STOP
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
@@ -47,13 +48,12 @@ from models.vehicle.sections import (
 )
 
 if TYPE_CHECKING:
-    from models.laws.filter import Filter
-    from models.parts.adjustable import Adjustable
+    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
-    from models.parts.damper_section import Damper
-    from models.parts.element import Element
-    from models.parts.part import SuspensionPart
     from models.characteristics.ratio_table import RatioTable
+    from models.laws.filter import Filter
+    from models.parts.element import Element
+    from models.parts.part import SettablePart, SuspensionPart
 
 
 def kinds(folder: Path = HERE) -> list[str]:
@@ -343,13 +343,16 @@ class Vehicle(Shown):
         return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
 
     @cached_property
-    def adjustable(self) -> "tuple[Adjustable, ...]":
+    def adjustable(self) -> "tuple[SettablePart, ...]":
         """Adjustable dampers, in the order of the forces."""
         if not self.dampers:
             return ()
-        from models.parts.adjustable import adjustable
+        from models.parts.registry import part_class
 
-        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
+        placed = part_class("adjustable damper").in_vehicle
+        return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
+            self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables
+        )
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
@@ -577,9 +580,9 @@ class Vehicle(Shown):
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            from models.parts.adjustable import check_measured
+            from models.parts.registry import part_class
 
-            check_measured(entry.name, entry.measured, self.adjustable)
+            part_class("adjustable damper").check_measured(entry.name, entry.measured, self.adjustable)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
@@ -666,7 +669,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions])
     dampers = dict[str, "Damper"]()
     if given.actuators:
-        from models.parts.damper_section import read_actuators
+        from models.characteristics.adjustable_range import read_actuators
 
         forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
         dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)

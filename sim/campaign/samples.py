@@ -12,11 +12,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from models.characteristics.adjustable_range import CURVED
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
-from models.parts.adjustable import Adjustable
-from models.parts.damper_section import CURVED
+from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values
@@ -189,7 +189,9 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
         curved = {one for one in vehicle.adjustable if name in CURVED and one.damper.pair is not None}
-        values: dict[Adjustable, Any] = {one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable}
+        values: dict[SettablePart, Any] = {
+            one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable
+        }
         if len(set(values.values())) == 1:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])
         quantities |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}

@@ -23,10 +23,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from models.common.arrays import Array
-from models.kinds.linear_model import LinearModel
 from models.characteristics.curve import ForceCurve
 from models.characteristics.surface import ForceSurface
+from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements, elements
 

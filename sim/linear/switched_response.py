@@ -14,8 +14,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.anti_windup import anti_windup_gain
-from models.roads.road import RoadInput
 from models.parts.damper_range import range_of
+from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from sim.linear.dampers import damper_signals, stretching
 from sim.linear.linear_motion import LinearMotion, lag_rates, suspension_pulls

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.characteristics import LEAVES
 from models.common.arrays import Array
 from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.parts import part as parts
 from models.parts.part import Stack
-from models.characteristics import LEAVES
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 

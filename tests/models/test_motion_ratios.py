@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import root_scalar
 
 from models.common.errors import InputError
+from models.parts.lines import lines_at_rest
 from models.roads.choice import choose_road
 from models.roads.road import Bump, RoadInput
-from models.parts.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate

@@ -40,10 +40,10 @@ from typing import Any
 import numpy as np
 import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
+from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import percent
 from models.roads.spectrum import Spectrum, longest_panel, sources
-from models.characteristics.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import Elements, elements
