@@ -351,8 +351,6 @@ class Vehicle(Shown):
 
         placed = part_class("adjustable damper").in_vehicle
         return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
-            self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables
-        )
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
