@@ -1,11 +1,14 @@
 """Forces of suspensions beyond their linear springs and dampers, for runs side by side."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.suspension.curve import Pieces
 from models.vehicle.vehicle import Vehicle
+
+Term = Callable[[Array, Array, Array], Array]  # force [N] by deflection [m], its rate [m/s], and all inputs
 
 
 class SuspensionForces:
@@ -16,10 +19,8 @@ class SuspensionForces:
 
     def __init__(self, vehicles: Sequence[Vehicle]) -> None:
         """Takes N vehicles, or one for any number of runs."""
-        self._vehicles = vehicles
         first = vehicles[0]
-        self._inputs = first.linear_model.inputs
-        self._suspensions = first.kind.suspensions
+        self._terms = [_terms(one) for one in vehicles]
         self.acts = [
             any(
                 (
@@ -29,7 +30,7 @@ class SuspensionForces:
                     part.deflection in first.ratio_tables,
                 )
             )
-            for part in self._suspensions
+            for part in first.kind.suspensions
         ]
 
     def __call__(self, d: Array, v: Array, inputs: Array) -> Array:
@@ -40,27 +41,66 @@ class SuspensionForces:
             inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
                 [N s/m], shape (..., N, m).
         """
-        if len(self._vehicles) == 1:
-            return self._of(self._vehicles[0], d, v, inputs)
-        rows = [self._of(one, d[..., i, :], v[..., i, :], inputs[..., i, :]) for i, one in enumerate(self._vehicles)]
+        if len(self._terms) == 1:
+            return _sum(self._terms[0], d, v, inputs)
+        rows = [_sum(terms, d[..., i, :], v[..., i, :], inputs[..., i, :]) for i, terms in enumerate(self._terms)]
         return np.stack(rows, axis=-2)
 
-    def _of(self, vehicle: Vehicle, d: Array, v: Array, inputs: Array) -> Array:
-        pulls, dampers = np.zeros_like(d), {one.force: one for one in vehicle.adjustable}
-        places = {part.deflection: i for i, part in enumerate(self._suspensions)}
-        for fitted in vehicle.fitted:
-            if fitted.curve.bent:
-                i = places[fitted.deflection]
-                pulls[..., i] += fitted.beyond(d[..., i], v[..., i])
-        for name, stops in vehicle.stops.items():
-            pulls[..., places[name]] += stops.pull(d[..., places[name]])
-        for i, part in enumerate(self._suspensions):
-            if part.force not in self._inputs:
-                continue
-            table, at_rest = vehicle.ratio_tables.get(part.deflection), vehicle.motion_ratios[part.force]
-            ratio, u = at_rest if table is None else table(d[..., i]), inputs[..., self._inputs.index(part.force)]
-            if part.force in dampers:
-                pulls[..., i] += ratio * u * dampers[part.force].shape(ratio * v[..., i])
-            elif table is not None:
-                pulls[..., i] -= (ratio - at_rest) * u
-        return pulls
+
+def _sum(terms: "Sequence[Term | tuple[int, Term]]", d: Array, v: Array, inputs: Array) -> Array:
+    pulls = np.zeros(d.shape)
+    for term in terms:
+        if isinstance(term, tuple):
+            i, one = term
+            pulls[..., i] += one(d[..., i], v[..., i], inputs)
+        else:
+            pulls += term(d, v, inputs)
+    return pulls
+
+
+def _terms(vehicle: Vehicle) -> "list[Term | tuple[int, Term]]":
+    """Returns the forces of a vehicle: of all suspensions, or of one, with its number."""
+    parts, forces, dampers = vehicle.kind.suspensions, vehicle.linear_model.inputs, {one.force: one for one in vehicle.adjustable}
+    places = {part.deflection: i for i, part in enumerate(parts)}
+    bent = [(places[fitted.deflection], fitted) for fitted in vehicle.fitted if fitted.curve.bent]
+    terms = list["Term | tuple[int, Term]"]()
+    for damps in (False, True):
+        some = {i: one.curve.pieces for i, one in bent if one.surface is None and one.damps == damps}
+        if some:
+            terms.append(_curves([some.get(i) for i in range(len(parts))], damps))
+    for i, one in bent:
+        if one.surface is not None:
+            terms.append((i, lambda d, v, inputs, beyond=one.beyond: beyond(d, v)))
+    for name, stops in vehicle.stops.items():
+        terms.append((places[name], lambda d, v, inputs, pull=stops.pull: pull(d)))
+    for i, part in enumerate(parts):
+        table = vehicle.ratio_tables.get(part.deflection)
+        if part.force not in forces or (table is None and part.force not in dampers):
+            continue
+        j, at_rest = forces.index(part.force), vehicle.motion_ratios[part.force]
+        shape = dampers[part.force].shape if part.force in dampers else None
+        ratio = table or (lambda d, at_rest=at_rest: at_rest)
+
+        def term(d: Array, v: Array, inputs: Array, j=j, at_rest=at_rest, shape=shape, ratio=ratio) -> Array:
+            r, u = ratio(d), inputs[..., j]
+            return (at_rest - r) * u if shape is None else r * u * shape(r * v)
+
+        terms.append((i, term))
+    return terms
+
+
+def _curves(pieces: Sequence[Pieces | None], damp: bool) -> Term:
+    """Returns the forces of all suspensions by their curves over velocity or deflection; None for a suspension without."""
+    width = max(len(one.slope) for one in pieces if one is not None)
+    stacked = np.zeros((4, len(pieces), width))
+    for i, one in enumerate(pieces):
+        if one is not None:
+            stacked[:, i, : len(one.slope)] = one.slope, one.start, one.low, one.high
+    (slope, start, low, high), ones = stacked, np.ones(width)
+
+    def term(d: Array, v: Array, inputs: Array) -> Array:
+        x = v if damp else d
+        # This runs in each stage of a step: NumPy's `clip`, `sum` and `@` take twice as long.
+        return np.minimum(np.maximum(slope * (x[..., None] - start), low), high).dot(ones)
+
+    return term
