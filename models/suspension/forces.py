@@ -9,6 +9,7 @@ from models.suspension.curve import Pieces
 from models.vehicle.vehicle import Vehicle
 
 Term = Callable[[Array, Array, Array], Array]  # force [N] by deflection [m], its rate [m/s], and all inputs
+Terms = tuple[Sequence[Term], Sequence[tuple[int, Term]]]  # of all suspensions at once, and of single ones with their numbers
 
 
 class SuspensionForces:
@@ -47,27 +48,26 @@ class SuspensionForces:
         return np.stack(rows, axis=-2)
 
 
-def _sum(terms: "Sequence[Term | tuple[int, Term]]", d: Array, v: Array, inputs: Array) -> Array:
-    pulls = np.zeros(d.shape)
-    for term in terms:
-        if isinstance(term, tuple):
-            i, one = term
-            pulls[..., i] += one(d[..., i], v[..., i], inputs)
-        else:
-            pulls += term(d, v, inputs)
+def _sum(terms: Terms, d: Array, v: Array, inputs: Array) -> Array:
+    every, single = terms
+    pulls = every[0](d, v, inputs) if every else np.zeros(d.shape)
+    for term in every[1:]:
+        pulls = pulls + term(d, v, inputs)
+    for i, term in single:
+        pulls[..., i] += term(d[..., i], v[..., i], inputs)
     return pulls
 
 
-def _terms(vehicle: Vehicle) -> "list[Term | tuple[int, Term]]":
-    """Returns the forces of a vehicle: of all suspensions, or of one, with its number."""
+def _terms(vehicle: Vehicle) -> Terms:
+    """Returns the forces of a vehicle."""
     parts, forces, dampers = vehicle.kind.suspensions, vehicle.linear_model.inputs, {one.force: one for one in vehicle.adjustable}
     places = {part.deflection: i for i, part in enumerate(parts)}
     bent = [(places[fitted.deflection], fitted) for fitted in vehicle.fitted if fitted.curve.bent]
-    terms = list["Term | tuple[int, Term]"]()
+    every, terms = list[Term](), list[tuple[int, Term]]()
     for damps in (False, True):
         some = {i: one.curve.pieces for i, one in bent if one.surface is None and one.damps == damps}
         if some:
-            terms.append(_curves([some.get(i) for i in range(len(parts))], damps))
+            every.append(_curves([some.get(i) for i in range(len(parts))], damps))
     for i, one in bent:
         if one.surface is not None:
             terms.append((i, lambda d, v, inputs, beyond=one.beyond: beyond(d, v)))
@@ -86,7 +86,7 @@ def _terms(vehicle: Vehicle) -> "list[Term | tuple[int, Term]]":
             return (at_rest - r) * u if shape is None else r * u * shape(r * v)
 
         terms.append((i, term))
-    return terms
+    return every, terms
 
 
 def _curves(pieces: Sequence[Pieces | None], damp: bool) -> Term:

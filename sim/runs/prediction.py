@@ -6,7 +6,7 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,11 +99,11 @@ class Prediction:
         """The exact linear response of the sampled loop, and the same as RK4 makes it; with characteristics of their lines."""
         if not (self.vehicle.is_curved and self.is_linear):
             return self.sampled, self.integrated
-        line, controller = self.vehicle.linearised, self.controller
-        if isinstance(controller, Controller) and not controller.law.acts and controller.preview is None:
-            line = line.without("delay")  # of no force, which takes steps
-        road = RoadInput(line, self.road, self.time)
-        return _sampled_pair(self.controller, road, self.requested_force)
+        road, controller = RoadInput(self.vehicle.linearised, self.road, self.time), self.controller
+        if isinstance(controller, Controller) and (controller.law.acts or controller.preview is not None):
+            return _sampled_pair(LoopModel(road.vehicle, controller, self.timestep), road)
+        forces = self.requested_force if not isinstance(controller, Controller) else None
+        return _forced_pair(road, forces)
 
     @property
     def cause(self) -> str:
@@ -139,7 +139,7 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
-    sampled, integrated = _sampled_pair(loop.controller, road)
+    sampled, integrated = _sampled_pair(loop, road)
     return Prediction(
         input=road,
         controller=loop.controller,
@@ -174,25 +174,24 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
     from sim.linear.forced_response import forced_continuous_response
 
-    sampled, integrated = _sampled_pair(controller, road, commands)
+    sampled, integrated = _forced_pair(road, commands)
     continuous = forced_continuous_response(commands, road)
     return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested)
 
 
-def _sampled_pair(controller: AnyController, road: RoadInput, commands: Array | None = None) -> tuple[Response, Response]:
-    """Returns the sampled response and the same as RK4 makes it: one response if the vehicle has characteristics.
+def _sampled_pair(loop: LoopModel, road: RoadInput) -> tuple[Response, Response]:
+    """Returns the sampled response and the same as RK4 makes it: one response if the vehicle has characteristics."""
+    sampled = sampled_response(loop, road)
+    return sampled, sampled if road.vehicle.is_curved else sampled_response(loop, road, taylor4)
 
-    Args:
-        commands: forces that a law in Python requested, shape (T, m).
-    """
-    if isinstance(controller, Controller):
-        respond = partial(sampled_response, LoopModel(road.vehicle, controller, road.timestep), road)
-    else:
-        from sim.linear.forced_response import forced_response
 
-        respond = partial(forced_response, commands, road)
-    sampled = respond()
-    return sampled, sampled if road.vehicle.is_curved else respond(exponential=taylor4)
+def _forced_pair(road: RoadInput, forces: Array | None = None) -> tuple[Response, Response]:
+    """Returns the same for forces at the samples [N], shape (T, m); None for no force."""
+    from sim.linear.forced_response import forced_response
+
+    given = np.zeros((len(road.time), len(road.vehicle.linear_model.inputs))) if forces is None else forces
+    sampled = forced_response(given, road)
+    return sampled, sampled if road.vehicle.is_curved else forced_response(given, road, taylor4)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:
