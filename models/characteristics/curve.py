@@ -42,7 +42,9 @@ class Pieces:
 
     def force(self, x: Array) -> Array:
         """Returns the sum of the pieces at some arguments [N], shape (...)."""
-        return np.clip(self.slope * (np.asarray(x)[..., None] - self.start), self.low, self.high).sum(axis=-1)
+        # This runs in each stage of a step: NumPy's `clip` and `sum` take twice as long.
+        pieces = np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high)
+        return pieces.dot(np.ones(len(self.slope)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -325,41 +325,44 @@ class Straight(Part):
 
 
 class Stack:
-    """Parts of N runs at one place, evaluated together where they differ in numbers alone."""
+    """Parts of N runs at k suspensions, evaluated together where they differ in numbers alone."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[Sequence[Part]], line: bool = False) -> None:
+        """Takes k parts for each run, which differ in numbers alone, or of one run for any number of runs.
+
+        Args:
+            line: True adds the line's force without that of the input to what is beyond it.
+        """
         groups: list[tuple[list[Part], list[int]]] = []
-        for i, part in enumerate(parts):
+        for i, row in enumerate(parts):
             for members, rows in groups:
-                if part is members[0] or _merged([members[0], part]) is not None:
-                    members.append(part)
+                if merged([members[0], row[0]], (2,)) is not None:
+                    members += row
                     rows.append(i)
                     break
             else:
-                groups.append(([part], [i]))
-        self._groups = [(part, np.array(rows)) for members, rows in groups if (part := _merged(members)) is not None]
+                groups.append(([*row], [i]))
+        self._line, width = line, len(parts[0])
+        shapes = ((len(rows), width) if len(parts) > 1 else (width,) for _, rows in groups)
+        together = (merged(members, shape) for (members, _), shape in zip(groups, shapes, strict=True))
+        self._groups = [(part, np.array(rows)) for part, (_, rows) in zip(together, groups, strict=True) if part is not None]
 
-    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0, line: bool = False) -> Array:
-        """See `Part.beyond`, for arrays of shape (..., N).
-
-        Args:
-            line: True adds the line's force without that of the input.
-        """
+    def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.beyond`, for arrays of shape (..., N, k)."""
         if len(self._groups) == 1:
-            return _beyond(self._groups[0][0], d, v, z, u, line)
+            return self._of(self._groups[0][0], d, v, z, u)
         total = np.empty(np.shape(d))
         for part, rows in self._groups:
-            own, inputs = None if z is None else z[..., rows, :], u if np.ndim(u) == 0 else u[..., rows]
-            total[..., rows] = _beyond(part, d[..., rows], v[..., rows], own, inputs, line)
+            own, inputs = None if z is None else z[..., rows, :, :], u if np.ndim(u) == 0 else u[..., rows, :]
+            total[..., rows, :] = self._of(part, d[..., rows, :], v[..., rows, :], own, inputs)
         return total
 
+    def _of(self, part: Part, d: Array, v: Array, z: Any, u: Any) -> Array:
+        return part.beyond(d, v, z, u) + part.line(d, v) if self._line else part.beyond(d, v, z, u)
 
-def _beyond(part: Part, d: Array, v: Array, z: Any, u: Any, line: bool) -> Array:
-    return part.beyond(d, v, z, u) + part.line(d, v) if line else part.beyond(d, v, z, u)
 
-
-def _merged(parts: Sequence[Part]) -> Part | None:
-    """Returns parts that differ in numbers alone as one, whose numbers are arrays; None if they differ in more."""
+def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
+    """Returns parts that differ in numbers alone as one, whose numbers are arrays of a shape; None if they differ in more."""
     first = parts[0]
     if all(part is first for part in parts):
         return first
@@ -371,12 +374,12 @@ def _merged(parts: Sequence[Part]) -> Part | None:
         if all(value is values[0] for value in values):
             continue
         if isinstance(values[0], Part):
-            changed[one.name] = _merged(values)
+            changed[one.name] = merged(values, shape)
             if changed[one.name] is None:
                 return None
         elif all(isinstance(value, float) for value in values):
             if any(value != values[0] for value in values):
-                changed[one.name] = np.array(values)
+                changed[one.name] = np.reshape(values, shape)
         elif any(bool(np.any(value != values[0])) for value in values):
             return None
     return replace(first, **changed) if changed else first  # pyright: ignore[reportArgumentType]

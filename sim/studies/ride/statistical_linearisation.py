@@ -268,7 +268,7 @@ def _with_remainder(
     vehicle: Vehicle, line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float
 ) -> Equivalent:
     """Adds the remainders of the curves of a vehicle, if their iteration converges."""
-    pulls = replace(elements(vehicle, vehicle.linear_model), curves=line.curves)
+    pulls = replace(elements(vehicle), curves=line.curves)
     cut = continuous(line.vehicle, controller)
     poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
