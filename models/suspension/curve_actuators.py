@@ -4,7 +4,7 @@ An actuator with zero control, a bias that is affine in length and speed, and a 
 of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
 a damping ratio.) The suspension's own spring and damper stay, with the curve's slope at rest; the pieces add the deviation.
 
-MuJoCo has no product of length and speed. A damper over velocity and deflection is one motor, which `sim.physics.surface_steps`
+MuJoCo has no product of length and speed. A damper over velocity and deflection is one motor, which `sim.physics.part_steps`
 controls in every stage of RK4. Where a motion ratio changes with travel, this motor also pulls for stops and actuators.
 """
 
@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from models.common.errors import InputError
-from models.suspension import SURFACE
+from models.suspension import PART
 from models.suspension.adjustable_dampers import Adjustable
 from models.suspension.curve import Pieces
 from models.suspension.fitted_curves import SuspensionCurve
@@ -51,7 +51,7 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
                 "replace it; let write_mjcf write the parameter, or omit the curve"
             )
         if fit.surface is not None:
-            motor = spec.add_actuator(name=f"{prefix}{SURFACE}{fit.tendon}", target=fit.tendon)
+            motor = spec.add_actuator(name=f"{prefix}{PART}{fit.tendon}", target=fit.tendon)
             motor.trntype = mujoco.mjtTrn.mjTRN_TENDON
             motor.gainprm[0] = -1.0  # its control is the pull
             continue
@@ -121,7 +121,7 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
         line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)
-        if placed.over_travel:  # the motor of its surface pulls for it
+        if placed.over_travel:  # the motor of its parts pulls for it
             line, ramps = 0.0, ()
         actuator.gainprm[:3] = [0.0, 0.0, -line]
         parts = [actuator]

@@ -9,7 +9,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed_dofs
+from models.suspension import PART
+from models.vehicle.mjcf import FITTED, build_model, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 
 # pyright: reportAttributeAccessIssue=false
@@ -76,12 +77,12 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
-    if any(one.surface is not None for one in vehicles[0].fitted):
-        from sim.physics.surface_steps import SurfaceBatch
+    if any(model.actuator(i).name.startswith(f"{FITTED}{PART}") for i in range(model.nu)):
+        from sim.physics.part_steps import FittedPulls, PartBatch
 
-        batch: Batch = SurfaceBatch(model, vehicles, models)
-    else:
-        batch = Batch(model, len(vehicles), 1)
+        tendons = [part.tendon for part in vehicles[0].kind.suspensions]
+        return PartBatch(model, tendons, FittedPulls(vehicles), len(vehicles), models)
+    batch = Batch(model, len(vehicles), 1)
     if models:
         batch.set_models(models)
     return batch
