@@ -3,14 +3,14 @@
 A part pulls the ends of its suspension together with F(d, v, z, u): d is the extension from rest and v its rate, both positive
 where the suspension stretches; z are states of the part's own, and u its inputs. Linear analysis has its line at rest,
 
-    F = k d + c v + g u,
+    F = k d + c v + b v' + g u,
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder and a line in
 `models.parts.registry.PARTS`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -79,6 +79,7 @@ class Part(ABC):
 
     states: ClassVar[int] = 0
     inputs: ClassVar[int] = 0
+    inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
@@ -336,29 +337,39 @@ class Stack:
         groups: list[tuple[list[Part], list[int]]] = []
         for i, row in enumerate(parts):
             for members, rows in groups:
-                if merged([members[0], row[0]], (2,)) is not None:
+                if all(alike(members[0], part) for part in row):
                     members += row
                     rows.append(i)
                     break
             else:
                 groups.append(([*row], [i]))
-        self._line, width = line, len(parts[0])
-        shapes = ((len(rows), width) if len(parts) > 1 else (width,) for _, rows in groups)
+        self._line, self.columns = line, len(parts[0])
+        shapes = ((len(rows), self.columns) if len(parts) > 1 else (self.columns,) for _, rows in groups)
         together = (merged(members, shape) for (members, _), shape in zip(groups, shapes, strict=True))
         self._groups = [(part, np.array(rows)) for part, (_, rows) in zip(together, groups, strict=True) if part is not None]
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
+        return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
+
+    def rate(self, d: Array, v: Array, z: Array, u: Any = 0.0) -> Array:
+        """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""
+        return self._rows(lambda part, *at: part.rate(*at), d, v, z, u, z.shape)
+
+    def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
+        """Returns a function of part, d, v, z and u for the rows of each group."""
         if len(self._groups) == 1:
-            return self._of(self._groups[0][0], d, v, z, u)
-        total = np.empty(np.shape(d))
+            return of(self._groups[0][0], d, v, z, u)
+        total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)
         for part, rows in self._groups:
-            own, inputs = None if z is None else z[..., rows, :, :], u if np.ndim(u) == 0 else u[..., rows, :]
-            total[..., rows, :] = self._of(part, d[..., rows, :], v[..., rows, :], own, inputs)
+            own, inputs = None if z is None else z[*at, rows], u if np.ndim(u) == 0 else u[*at, rows]
+            total[*at, rows] = of(part, d[*at, rows], v[*at, rows], own, inputs)
         return total
 
-    def _of(self, part: Part, d: Array, v: Array, z: Any, u: Any) -> Array:
-        return part.beyond(d, v, z, u) + part.line(d, v) if self._line else part.beyond(d, v, z, u)
+
+def alike(one: Part, other: Part) -> bool:
+    """Returns True for parts that differ in numbers alone."""
+    return merged([one, other], (2,)) is not None
 
 
 def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.parts.part import Stack, merged
+from models.parts.part import Stack, alike
 from models.vehicle.vehicle import Vehicle
 
 
@@ -16,6 +16,8 @@ class SuspensionForces:
 
     Attributes:
         acts: True for each suspension that has a force beyond the linear model, shape (s,).
+        states: number of the parts' own states, k.
+        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
@@ -28,42 +30,65 @@ class SuspensionForces:
         """
         first, inputs = vehicles[0], vehicles[0].linear_model.inputs
         places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}
-        self.acts, groups = np.zeros(len(places), dtype=bool), list[tuple[list[int], bool]]()
+        self.acts, self.states, self.inertance = np.zeros(len(places), dtype=bool), 0, None
+        groups, self._stacks = list[tuple[list[int], bool]](), list[tuple[Array | slice, Array | None, slice, Stack]]()
         for k, one in enumerate(first.parts):
             line = whole and not one.parameter
             if not (one.part.acts or (line and one.acts)) or (by_motor and one.native) or (one.part.contact and not contacts):
                 continue
             self.acts[places[one.deflection]] = True
-            alike = (g for g, own in groups if own == line and merged([first.parts[g[0]].part, one.part], (2,)) is not None)
-            if (group := next(alike, None)) is not None and places[one.deflection] not in [
-                _place(first, j, places) for j in group
-            ]:
-                group.append(k)
+            for some, own in groups:
+                separate = one.deflection not in [first.parts[j].deflection for j in some]
+                if own == line and separate and all(alike(each.parts[some[0]].part, each.parts[k].part) for each in vehicles):
+                    some.append(k)
+                    break
             else:
                 groups.append(([k], line))
-        self._stacks: list[tuple[Array | slice, Array | None, Stack]] = []
         for some, line in groups:
             chosen = [first.parts[k] for k in some]
-            own = np.array([inputs.index(one.place.force) for one in chosen]) if chosen[0].part.inputs else None
             columns = np.array([places[one.deflection] for one in chosen])
-            every = slice(None) if len(columns) == len(places) and (np.diff(columns) == 1).all() else columns
-            self._stacks.append((every, own, Stack([[vehicle.parts[k].part for k in some] for vehicle in vehicles], line)))
+            own = np.array([inputs.index(one.place.force) for one in chosen]) if chosen[0].part.inputs else None
+            every = slice(None) if np.array_equal(columns, np.arange(len(places))) else columns
+            kept = slice(self.states, self.states + len(some) * chosen[0].part.states)
+            stack = Stack([[vehicle.parts[k].part for k in some] for vehicle in vehicles], line)
+            self.states = kept.stop
+            self._stacks.append((every, own, kept, stack))
+            if any(one.part.inertance for one in chosen):
+                self.inertance = np.zeros((len(vehicles), len(places))) if self.inertance is None else self.inertance
+                self.inertance[:, columns] += [[vehicle.parts[k].part.inertance for k in some] for vehicle in vehicles]
 
-    def __call__(self, d: Array, v: Array, inputs: Array) -> Array:
-        """Returns the forces [N], shape (..., N, s).
+    def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
+        """Returns the forces without those of inertial parts [N], shape (..., N, s).
 
         Args:
             d, v: deflections [m] and their rates [m/s] at the wheels, shape (..., N, s).
             inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
                 [N s/m], shape (..., N, m).
+            z: the parts' own states, shape (..., N, k).
         """
         pulls = None
-        for columns, own, parts in self._stacks:
-            u = 0.0 if own is None else inputs[..., own]
+        for columns, own, kept, parts in self._stacks:
+            u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
             if isinstance(columns, slice):
-                pull = parts.beyond(d, v, None, u)
+                pull = parts.beyond(d, v, states, u)
                 pulls = pull if pulls is None else pulls + pull
             else:
                 pulls = np.zeros(d.shape) if pulls is None else pulls
-                pulls[..., columns] += parts.beyond(d[..., columns], v[..., columns], None, u)
+                pulls[..., columns] += parts.beyond(d[..., columns], v[..., columns], states, u)
         return np.zeros(d.shape) if pulls is None else pulls
+
+    def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
+        """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""
+        rates = np.empty(z.shape)
+        for columns, own, kept, parts in self._stacks:
+            if kept.stop > kept.start:
+                u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
+                rates[..., kept] = parts.rate(d[..., columns], v[..., columns], states, u).reshape(*z.shape[:-1], -1)
+        return rates
+
+
+def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
+    """Returns the states of some parts, shape (..., N, columns, states); None for parts without."""
+    if z is None or kept.stop == kept.start:
+        return None
+    return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
