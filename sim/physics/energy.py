@@ -164,7 +164,7 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     of_road, of_rubber = rubber.powers(starts, ends, road)
     starts, ends, rest = (rubber.taken_out(each) for each in (starts, ends, rest))
 
-    actuators, curves, stops = len(vehicle.linear_model.inputs), vehicle.fitted, _pushing_stops(vehicle)
+    actuators, curves, stops = len(vehicle.linear_model.inputs), [p for p in vehicle.parts if p.acts and not p.part.inputs], {}
     stored = starts[:, 0] + starts[:, 1]
     lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
     grown = ends[:, 2::2] - lengths[:-1]  # within a step, over its road, which may carry a damper or an actuator
@@ -186,14 +186,14 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
     in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
     for i, fitted in enumerate(curves, dampers.stop):
-        if fitted.damps:
+        if not fitted.part.stores:
             d = lengths[:-1, i] - rest[0, 2 + 2 * i]
             amid = d + grown[:, i] / 2 + h / 8 * (speeds[:-1, i] - speeds[1:, i])
             at = (d, speeds[:-1, i]), (amid, middle[:, i]), (d + grown[:, i], speeds[1:, i])
-            power = [v * fitted.beyond(d, v) for d, v in at]
+            power = [v * fitted.part.beyond(d, v) for d, v in at]
             in_dampers += (power[0] + 4 * power[1] + power[2]) * h / 6
         else:
-            in_springs += fitted.curve.work(lengths[:, i] - rest[0, 2 + 2 * i])
+            in_springs += fitted.part.stored_beyond(lengths[:, i] - rest[0, 2 + 2 * i])
     for i, both in enumerate(stops.values(), dampers.stop + len(curves)):
         in_springs += both.work(lengths[:, i] - rest[0, 2 + 2 * i])
 
@@ -279,7 +279,7 @@ def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
-    bent = any(fitted.curve.bent for fitted in vehicle.fitted)
+    bent = vehicle.is_curved
     bent = bent or any(one.damper.pair is not None for one in vehicle.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
 
@@ -348,8 +348,11 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     for joint in spec.joints:
         if joint.damping[0] > 0:
             pairs.append((kind.mjSENS_JOINTPOS, kind.mjSENS_JOINTVEL, of.mjOBJ_JOINT, joint.name))
-    stops = _pushing_stops(vehicle)
-    tendons = [fitted.tendon for fitted in vehicle.fitted] + list(stops)
+    stops = {}
+    tendons = [p.tendon for p in vehicle.parts if p.acts and not p.part.inputs]
+    for t in list(spec.tendons):
+        if t.name.startswith("stop"):
+            t.stiffness[:] = 0.0
     pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in tendons]
     rubber = [actuator.target for actuator in spec.actuators if actuator.name.startswith(DAMPER)]
     rubber += [actuator.target for actuator in spec.actuators if actuator.name.startswith(STATIC_LOAD)]
