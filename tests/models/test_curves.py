@@ -221,7 +221,10 @@ def test_public_damper_tables(velocity, force):
     road, errors = Bump(0.05, 5.0, 12.5), []
     for h in (1e-3, 5e-4):
         time = sample_times(vehicle, 0.3, h)
-        reference, own = integrated_by_scipy(vehicle, road, time), sampled_response(vehicle, design(vehicle, "passive"), road, time)
+        reference, own = (
+            integrated_by_scipy(vehicle, road, time),
+            sampled_response(vehicle, design(vehicle, "passive"), road, time),
+        )
         columns = zip(STATES, reference.T, strict=True)
         errors.append(max(np.abs(own[name] - column).max() / np.abs(column).max() for name, column in columns))
     assert errors[1] < errors[0] / 2 < 2e-5  # what RK4 loses where a step passes a point of the table
