@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.parts import PART
+from models.parts.native import MOTOR as PART
 from models.vehicle.mjcf import FITTED, build_spec, mocap_indices
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.part_steps import PartBatch
