@@ -38,8 +38,7 @@ ROOMS = {
     "synth": "",
     "synth.plant": "models.laws",
     "synth.analysis": "models.document synth.plant",
-    "synth.controller": "models models.document models.kinds models.laws models.parts models.vehicle synth.analysis "
-    "synth.plant",
+    "synth.controller": "models models.document models.kinds models.laws models.parts models.vehicle synth.analysis synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
     "synth.design": "models.document models.laws synth.analysis synth.lmi synth.plant",
     "synth.vehicle": "models.document models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
@@ -50,8 +49,7 @@ ROOMS = {
     # sim: what a run is
     "sim": "",
     "sim.response": "models.document models.kinds models.parts models.vehicle",
-    "sim.linear": "models.kinds models.laws models.roads models.parts models.vehicle synth.controller synth.plant "
-    "sim.response",
+    "sim.linear": "models.kinds models.laws models.roads models.parts models.vehicle synth.controller synth.plant sim.response",
     "sim.physics": "models.document models.kinds models.laws models.roads models.parts models.vehicle synth.controller "
     "sim.response",
     "sim.runs": "models models.document models.kinds models.laws models.roads models.parts models.vehicle "
