@@ -25,6 +25,9 @@ import numpy as np
 import models
 import sim
 import synth
+from models.characteristics.adjustable_range import ActuatorSection
+from models.characteristics.curve_reading import DamperTable, SpringTable
+from models.characteristics.ratio_table import RatioSection
 from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
@@ -41,9 +44,6 @@ from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
 from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
-from models.characteristics.curve_reading import DamperTable, SpringTable
-from models.parts.damper_section import ActuatorSection
-from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection

@@ -5,3 +5,4 @@ STOP = "stop"  # another name of the second one, for tables and files
 STOP_NAMES = (*STOP_KEYS, STOP)
 RATIO = "ratio"  # column of a motion ratio over travel
 LEAVES = 0.1  # deviation from its line at which a curve has left it, over its largest force
+SIDES = ("bump", "rebound")  # of bump stops: the suspension squeezed, and stretched

@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.errors import InputError
 from models.characteristics import LEAVES
 from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
+from models.common.arrays import Array
+from models.common.errors import InputError
 
 STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
 
@@ -42,7 +42,9 @@ class Pieces:
 
     def force(self, x: Array) -> Array:
         """Returns the sum of the pieces at some arguments [N], shape (...)."""
-        return np.clip(self.slope * (np.asarray(x)[..., None] - self.start), self.low, self.high).sum(axis=-1)
+        # This runs in each stage of a step: NumPy's `clip` and `sum` take twice as long.
+        pieces = np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high)
+        return pieces.dot(np.ones(len(self.slope)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from models.characteristics import RATIO, STOP, STOP_NAMES
+from models.characteristics.curve_log import dissipation, velocity_of
+from models.characteristics.measured_loop import mean_of_loop
+from models.characteristics.surface_table import surface_columns
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, path_from, reading
@@ -23,10 +27,6 @@ from models.common.quantities import QUANTITIES, Heading, columns_in_words, left
 from models.common.table import find_table, table_text
 from models.common.toml_edit import Replacement
 from models.common.units import QUANTITY, unit_size
-from models.characteristics import RATIO, STOP, STOP_NAMES
-from models.characteristics.curve_log import dissipation, velocity_of
-from models.characteristics.measured_loop import mean_of_loop
-from models.characteristics.surface_table import surface_columns
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"

@@ -7,12 +7,12 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing
-from models.common.schema import HERE, SI, Listed, Section, Text, read
 from models.characteristics.curve import ForceCurve, slope_at_rest
 from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest, thinned
 from models.characteristics.surface import ForceSurface, surface_of
+from models.common.arrays import Array
+from models.common.errors import InputError, error_in, listing
+from models.common.schema import HERE, SI, Listed, Section, Text, read
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant

@@ -11,9 +11,9 @@ over the test, the sum of F v over the sum of v^2 for samples at even times. A r
 
 import numpy as np
 
+from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import rough
-from models.characteristics.curve import ForceCurve
 
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"  # in the phrase about a loop; the second for dampers
 TURN = 0.1  # of the range: a smaller reversal is noise

@@ -16,13 +16,13 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.common.errors import InputError, error_in
-from models.common.schema import SI, read
 from models.characteristics import RATIO
 from models.characteristics.curve import ForceCurve, slope_at_rest
 from models.characteristics.curve_reading import DEFLECTION, FORCE, TableSection
 from models.characteristics.surface import ForceSurface, surface_of
+from models.common.arrays import Array
+from models.common.errors import InputError, error_in
+from models.common.schema import SI, read
 
 TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
 FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest

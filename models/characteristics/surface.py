@@ -1,8 +1,8 @@
 """A damper's force over velocity v and deflection d, as a table that is bilinear between its points.
 
-Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities the table continues with its last
-slopes; beyond its deflections it keeps its last column. With a ratio r of damper travel to suspension travel at each deflection,
-straight between these, the force along the suspension is
+Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities the table continues with its
+last slopes; beyond its deflections it keeps its last column. With a ratio r of damper travel to suspension travel at each
+deflection, straight between these, the force along the suspension is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 
@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.characteristics.curve import STRAIGHT, ForceCurve, slope_at_rest
+from models.common.arrays import Array
 
 NODES, WIDTH = 400, 6.0  # of the mean over a Gaussian deflection, and its half width in standard deviations
 

@@ -303,8 +303,8 @@ class VehicleKind(Checked):
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
             compared with the linear model alone.
         static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
-        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter; only in
-            the kind of a vehicle that has some.
+        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter; only
+            in the kind of a vehicle that has some.
         people: accelerations [m/s2] of the points with a person, the most important one first. None: those of masses above the
             body, if it has some; empty for none.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.

@@ -194,6 +194,17 @@ class LinearModel:
             **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
         )
 
+    def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
+        """Returns the model with springs and dampers along e lengths, f = k d + c d'.
+
+        Args:
+            rows: lengths from the states, on which neither the road nor forces act at once, shape (e, n).
+            push, shown: effect of forces that pull along them on x' and on the outputs, shapes (n, e) and (p, e).
+            stiffness, damping: k [N/m] and c [N s/m], shape (e,).
+        """
+        force = stiffness[:, None] * rows + damping[:, None] * (rows @ self.A)
+        return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
+
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""
         if np.all(ratios == 1):

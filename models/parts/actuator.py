@@ -34,6 +34,6 @@ class Actuator(Part):
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
         """Yields the actuator of a suspension whose motion ratio changes with travel."""
-        inputs = vehicle.linear_model.inputs
+        inputs = vehicle.kind.model(vehicle.parameters).inputs
         if place.deflection in vehicle.ratio_tables and place.force in inputs and place.force not in vehicle.dampers:
             yield cls(), ""

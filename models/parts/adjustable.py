@@ -7,8 +7,8 @@ With c_s the nominal coefficient and c_s + d the set one, both together pull wit
 
     c_s v + g(v) + d h(v),
 
-where h is v except for a damper of two curves (`models.parts.damper_section`), and g is the deviation of its nominal setting from
-its line, plus that of the parallel curve.
+where h is v except for a damper of two curves (`models.characteristics.adjustable_range`), and g is the deviation of its nominal
+setting from its line, plus that of the parallel curve.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -18,41 +18,31 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from models.characteristics.adjustable_range import Damper
+from models.characteristics.curve import ForceCurve
+from models.characteristics.surface import ForceSurface
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.characteristics.curve import ForceCurve
-from models.parts.damper_section import Damper
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part, Quantity
-from models.characteristics.surface import ForceSurface
+from models.parts.part import CURVE, Limit, Line, Part, Quantity, SettablePart
 
-COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
 ROUNDING = 1e-9  # relative to the force of curve and line
 
 
 @dataclass(frozen=True)
-class Adjustable(Part):
+class Adjustable(SettablePart):
     """Adjustable damper in its vehicle.
 
     Attributes:
-        force: the input that it replaces, its force beyond the nominal damper's.
-        ending: suffix of the names at its suspension.
-        damper: limits of the damper.
-        nominal: the coefficient of the linear model [N s/m].
         standing: the curve c_s v + g(v); None if g is 0.
         ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
             of `Part`.
         over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
     """
 
-    inputs: ClassVar[int] = 1
     argument: ClassVar[Quantity] = "velocity"
 
-    force: str
-    ending: str
-    damper: Damper
-    nominal: float
     standing: ForceCurve | None = None
     ratio: float = 1.0
     over_travel: bool = False
@@ -71,6 +61,11 @@ class Adjustable(Part):
     def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
         """See `Part.line`: the nominal damper."""
         return Line(0.0, self.ratio**2 * self.nominal)
+
+    @property
+    def bent(self) -> bool:
+        """True if the nominal setting differs from its line."""
+        return self.standing is not None and self.standing.bent
 
     @property
     def kinked_at_rest(self) -> bool:
@@ -119,25 +114,76 @@ class Adjustable(Part):
         """Yields the adjustable damper of a suspension, in its own travel."""
         yield from ((replace(one, ratio=1.0), place.damping) for one in vehicle.adjustable if one.force == place.force)
 
-    @property
-    def coefficient(self) -> str:
-        """The signal of the acting coefficient."""
-        return f"{COEFFICIENT}{self.ending}"
+    @classmethod
+    def in_vehicle(
+        cls,
+        dampers: Mapping[str, Damper],
+        suspensions: Sequence[Suspension],
+        parameters: Mapping[str, float],
+        curves: Mapping[str, ForceCurve],
+        tables: Collection[str] = (),
+    ) -> tuple["Adjustable", ...]:
+        """Returns the adjustable dampers of a vehicle.
 
-    @property
-    def missing(self) -> str:
-        """The signal of the requested force that it does not give."""
-        return f"{MISSING}{self.ending}"
+        Args:
+            suspensions: suspensions of the vehicle, in the order of its forces.
+            parameters: parameters of the vehicle, by name.
+            curves: curves, by the parameter that each replaces.
+            tables: deflections of the suspensions whose motion ratio changes with travel.
 
-    @property
-    def low(self) -> float:
-        """The least coefficient beyond the nominal one [N s/m]."""
-        return self.damper.c_min - self.nominal
+        Raises:
+            InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
+        """
+        placed = []
+        for part in suspensions:
+            if part.force not in dampers:
+                continue
+            damper = dampers[part.force]
+            if not part.damping:
+                raise InputError(
+                    f"[actuators] the vehicle type does not define a damper at {part.force}; give damping in its Suspension"
+                )
+            if isinstance(curves.get(part.damping), ForceSurface):
+                raise InputError(
+                    f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
+                    "semi-active damper; omit one of the two, or give a curve over velocity only"
+                )
+            nominal = parameters[part.damping]
+            if not damper.c_min <= nominal <= damper.c_max:
+                raise InputError(
+                    f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
+                    f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
+                )
+            standing = _standing(damper, nominal, curves.get(part.damping))
+            ratio = part.motion_ratio(parameters), part.deflection in tables
+            placed.append(cls(part.force, part.ending, damper, nominal, standing, *ratio))
+            _check_takes(part.damping, placed[-1])
+            pairs = [
+                dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers
+            ]
+            if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
+                raise InputError(
+                    f"[actuators] suspensions that share {part.damping} have different damper curves; give the same c_min and "
+                    "c_max to all of these suspensions"
+                )
+        return tuple(placed)
 
-    @property
-    def high(self) -> float:
-        """The largest coefficient beyond the nominal one [N s/m]."""
-        return self.damper.c_max - self.nominal
+    @staticmethod
+    def check_measured(name: str, measured: Sequence[str], dampers: Sequence["Adjustable"]) -> None:
+        """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel.
+
+        MuJoCo has no sensor of such a force.
+
+        Raises:
+            InputError: the controller measures such a force.
+        """
+        for one in dampers:
+            if one.force in measured and (one.over_travel or one.damper.pair is not None):
+                what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
+                raise InputError(
+                    f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
+                    "suspension_velocity instead, or give numbers"
+                )
 
     @property
     def steepest_slope(self) -> float:
@@ -165,57 +211,6 @@ class Adjustable(Part):
         pair, x = self.damper.pair, np.union1d(self.standing.x, self.damper.pair.knots)
         bent = self.standing.pieces.force(x) + self.low * (pair.shape(x) - pair.line * x)
         return replace(self.standing, x=x, force=self.nominal * x + bent)
-
-
-def adjustable(
-    dampers: Mapping[str, Damper],
-    suspensions: Sequence[Suspension],
-    parameters: Mapping[str, float],
-    curves: Mapping[str, ForceCurve],
-    tables: Collection[str] = (),
-) -> tuple[Adjustable, ...]:
-    """Returns the adjustable dampers of a vehicle.
-
-    Args:
-        suspensions: suspensions of the vehicle, in the order of its forces.
-        parameters: parameters of the vehicle, by name.
-        curves: curves, by the parameter that each replaces.
-        tables: deflections of the suspensions whose motion ratio changes with travel.
-
-    Raises:
-        InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
-    """
-    placed = []
-    for part in suspensions:
-        if part.force not in dampers:
-            continue
-        damper = dampers[part.force]
-        if not part.damping:
-            raise InputError(
-                f"[actuators] the vehicle type does not define a damper at {part.force}; give damping in its Suspension"
-            )
-        if isinstance(curves.get(part.damping), ForceSurface):
-            raise InputError(
-                f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
-                "semi-active damper; omit one of the two, or give a curve over velocity only"
-            )
-        nominal = parameters[part.damping]
-        if not damper.c_min <= nominal <= damper.c_max:
-            raise InputError(
-                f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} to "
-                f"c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
-            )
-        standing = _standing(damper, nominal, curves.get(part.damping))
-        ratio = part.motion_ratio(parameters), part.deflection in tables
-        placed.append(Adjustable(part.force, part.ending, damper, nominal, standing, *ratio))
-        _check_takes(part.damping, placed[-1])
-        pairs = [dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers]
-        if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
-            raise InputError(
-                f"[actuators] suspensions that share {part.damping} have different damper curves; give the same c_min and "
-                "c_max to all of these suspensions"
-            )
-    return tuple(placed)
 
 
 def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
@@ -246,19 +241,3 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
             f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy {where[0]}; "
             "give only a line and friction in [curves], and the measured limits as curves c_min and c_max in [actuators]"
         )
-
-
-def check_measured(name: str, measured: Sequence[str], dampers: Sequence[Adjustable]) -> None:
-    """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel: MuJoCo has no sensor
-    of it.
-
-    Raises:
-        InputError: the controller measures such a force.
-    """
-    for one in dampers:
-        if one.force in measured and (one.over_travel or one.damper.pair is not None):
-            what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
-            raise InputError(
-                f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
-                "suspension_velocity instead, or give numbers"
-            )

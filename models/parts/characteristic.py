@@ -9,8 +9,8 @@ import numpy as np
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
-from models.parts.part import CURVE, Limit, Line, Part
 from models.parts.native import Tendon
+from models.parts.part import CURVE, Limit, Line, Part
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from models.characteristics.curve_reading import VELOCITY, Argument
 from models.characteristics.ratio_table import line
 from models.characteristics.surface import ForceSurface
 from models.kinds.kind import Suspension
@@ -18,6 +19,7 @@ class Damper(Characteristic):
     """Damper with a curve."""
 
     argument: ClassVar[Quantity] = "velocity"
+    replaces: ClassVar[tuple[str, Argument]] = "damping", VELOCITY
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:

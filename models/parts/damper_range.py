@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.parts.adjustable import Adjustable
 from models.characteristics.curve import Pieces
+from models.common.arrays import Array
+from models.parts.part import SettablePart
 
 STILL = 1e-150  # m/s, in place of a velocity of 0
 
@@ -17,7 +17,8 @@ class Bent:
     """Deviations of the curves of N runs with m actuators each from their lines, as P pieces (`models.characteristics.curve`).
 
     Attributes:
-        shape: shape of h, see `models.parts.damper_section`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
+        shape: shape of h, see `models.characteristics.adjustable_range`: slopes, starts, lower and upper bounds, shape
+            (4, N, m, P).
         soft: shape of the softest settings, likewise.
     """
 
@@ -115,7 +116,7 @@ def _pieces(pieces: Array, v: Array) -> Array:
 
 
 def range_of(
-    vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str], most: Sequence[float | None] = ()
+    vehicles: Sequence[Sequence[SettablePart]], forces: Sequence[str], most: Sequence[float | None] = ()
 ) -> CoefficientRange:
     """Returns the range of the actuators of N vehicles.
 

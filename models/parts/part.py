@@ -6,11 +6,11 @@ where the suspension stretches; z are states of the part's own, and u its inputs
     F = k d + c v + b v' + g u,
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder and a line in
-`models.parts.PARTS`.
+`models.parts.registry.PARTS`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -21,7 +21,9 @@ from models.characteristics import LEAVES
 from models.common.arrays import Array
 
 if TYPE_CHECKING:
+    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
+    from models.characteristics.curve_reading import Argument
     from models.characteristics.surface import ForceSurface
     from models.kinds.kind import Suspension
     from models.parts.native import Tendon
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
 Quantity = Literal["deflection", "velocity", "force"]
 STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
 CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
-SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,9 @@ class Part(ABC):
 
     states: ClassVar[int] = 0
     inputs: ClassVar[int] = 0
+    inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
+    replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
+    contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
 
@@ -104,7 +108,7 @@ class Part(ABC):
         """Derivative at rest, by complex steps."""
         step, at = STEP * 1j, np.zeros((), dtype=complex)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        return Line(*(float(np.imag(self.pull(d, v, np.zeros(self.states), u))) / STEP for d, v, u in along))
+        return Line(*(np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
@@ -166,11 +170,20 @@ class Part(ABC):
         Args:
             by_motor: True if a motor pulls with what is beyond the line.
         """
+        return  # most parts have no input
 
     @property
     def words(self) -> str:
         """The part in a phrase."""
         return type(self).__name__
+
+    @classmethod
+    def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
+        """Yields the parts of a suspension that follow from other sections than `[parts]`, in their own travel.
+
+        Each is with the parameter that is its line, or an empty text for one whose line is no parameter.
+        """
+        yield from ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +213,18 @@ class SuspensionPart:
         return self.place.tendon
 
     @property
+    def native(self) -> bool:
+        """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
+        line = self.part.line
+        return self.part.native and (bool(self.parameter) or not (line.stiffness or line.damping))
+
+    @property
+    def acts(self) -> bool:
+        """True if something is beyond the vehicle's own springs and dampers."""
+        line = self.part.line
+        return self.part.acts or (not self.parameter and bool(line.stiffness or line.damping))
+
+    @property
     def damps(self) -> bool:
         """True if the curve of the part is over velocity."""
         return self.part.argument != "deflection"
@@ -223,34 +248,132 @@ class SuspensionPart:
         return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
 
 
-class Stack:
-    """Parts of N runs at one place, evaluated together where they differ in numbers alone."""
+@dataclass(frozen=True)
+class SettablePart(Part):
+    """Damper whose coefficient a valve sets: its input is the coefficient beyond the nominal one [N s/m].
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    Attributes:
+        force: the input that it replaces, its force beyond the nominal damper's.
+        ending: suffix of the names at its suspension.
+        damper: limits of the coefficient.
+        nominal: coefficient of the linear model [N s/m].
+    """
+
+    inputs: ClassVar[int] = 1
+
+    force: str
+    ending: str
+    damper: "Damper"
+    nominal: float
+
+    @property
+    def coefficient(self) -> str:
+        """The signal of the acting coefficient."""
+        return f"damping{self.ending}"
+
+    @property
+    def missing(self) -> str:
+        """The signal of the requested force that it does not give."""
+        return f"missing_force{self.ending}"
+
+    @property
+    def low(self) -> float:
+        """The least coefficient beyond the nominal one [N s/m]."""
+        return self.damper.c_min - self.nominal
+
+    @property
+    def high(self) -> float:
+        """The largest coefficient beyond the nominal one [N s/m]."""
+        return self.damper.c_max - self.nominal
+
+    @property
+    @abstractmethod
+    def steepest_slope(self) -> float:
+        """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
+
+    @abstractmethod
+    def shape(self, v: Array) -> Array:
+        """Returns the force per coefficient at velocities of the damper's own [m/s], shape (...)."""
+
+    @abstractmethod
+    def ramp(self, v: Array, beyond: Array | float) -> Array:
+        """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
+
+
+@dataclass(frozen=True)
+class Straight(Part):
+    """Line of another part."""
+
+    at_rest: Line
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`."""
+        return self.at_rest(d, v, u)
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`."""
+        return self.at_rest.stiffness * np.square(d) / 2
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`."""
+        return self.at_rest
+
+    @property
+    def bent(self) -> bool:
+        """See `Part.bent`."""
+        return False
+
+
+class Stack:
+    """Parts of N runs at k suspensions, evaluated together where they differ in numbers alone."""
+
+    def __init__(self, parts: Sequence[Sequence[Part]], line: bool = False) -> None:
+        """Takes k parts for each run, which differ in numbers alone, or of one run for any number of runs.
+
+        Args:
+            line: True adds the line's force without that of the input to what is beyond it.
+        """
         groups: list[tuple[list[Part], list[int]]] = []
-        for i, part in enumerate(parts):
+        for i, row in enumerate(parts):
             for members, rows in groups:
-                if part is members[0] or _merged([members[0], part]) is not None:
-                    members.append(part)
+                if all(alike(members[0], part) for part in row):
+                    members += row
                     rows.append(i)
                     break
             else:
-                groups.append(([part], [i]))
-        self._groups = [(part, np.array(rows)) for members, rows in groups if (part := _merged(members)) is not None]
+                groups.append(([*row], [i]))
+        self._line, self.columns = line, len(parts[0])
+        shapes = ((len(rows), self.columns) if len(parts) > 1 else (self.columns,) for _, rows in groups)
+        together = (merged(members, shape) for (members, _), shape in zip(groups, shapes, strict=True))
+        self._groups = [(part, np.array(rows)) for part, (_, rows) in zip(together, groups, strict=True) if part is not None]
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`, for arrays of shape (..., N)."""
+        """See `Part.beyond`, for arrays of shape (..., N, k)."""
+        return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
+
+    def rate(self, d: Array, v: Array, z: Array, u: Any = 0.0) -> Array:
+        """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""
+        return self._rows(lambda part, *at: part.rate(*at), d, v, z, u, z.shape)
+
+    def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
+        """Returns a function of part, d, v, z and u for the rows of each group."""
         if len(self._groups) == 1:
-            return self._groups[0][0].beyond(d, v, z, u)
-        total = np.empty(np.shape(d))
+            return of(self._groups[0][0], d, v, z, u)
+        total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)
         for part, rows in self._groups:
-            own = None if z is None else z[..., rows, :]
-            total[..., rows] = part.beyond(d[..., rows], v[..., rows], own, u if np.ndim(u) == 0 else u[..., rows])
+            own, inputs = None if z is None else z[*at, rows], u if np.ndim(u) == 0 else u[*at, rows]
+            total[*at, rows] = of(part, d[*at, rows], v[*at, rows], own, inputs)
         return total
 
 
-def _merged(parts: Sequence[Part]) -> Part | None:
-    """Returns parts that differ in numbers alone as one, whose numbers are arrays; None if they differ in more."""
+def alike(one: Part, other: Part) -> bool:
+    """Returns True for parts that differ in numbers alone."""
+    return merged([one, other], (2,)) is not None
+
+
+def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
+    """Returns parts that differ in numbers alone as one, whose numbers are arrays of a shape; None if they differ in more."""
     first = parts[0]
     if all(part is first for part in parts):
         return first
@@ -262,12 +385,12 @@ def _merged(parts: Sequence[Part]) -> Part | None:
         if all(value is values[0] for value in values):
             continue
         if isinstance(values[0], Part):
-            changed[one.name] = _merged(values)
+            changed[one.name] = merged(values, shape)
             if changed[one.name] is None:
                 return None
         elif all(isinstance(value, float) for value in values):
             if any(value != values[0] for value in values):
-                changed[one.name] = np.array(values)
+                changed[one.name] = np.reshape(values, shape)
         elif any(bool(np.any(value != values[0])) for value in values):
             return None
     return replace(first, **changed) if changed else first  # pyright: ignore[reportArgumentType]

@@ -73,6 +73,11 @@ class AtRatio(Part):
         return self.part.argument
 
     @property
+    def contact(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """True if the part is a contact."""
+        return self.part.contact
+
+    @property
     def stores(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """True if the part stores all energy."""
         return self.part.stores

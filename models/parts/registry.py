@@ -32,7 +32,12 @@ def parts_of(vehicle: Any) -> tuple[SuspensionPart, ...]:
         ratio = place.motion_ratio(vehicle.parameters)
         for name in PARTS:
             for part, parameter in part_class(name).of(vehicle, place):
-                placed.append(SuspensionPart(place, _at_wheel(part, place, kind, tables, ratio, loads, parameter), parameter, ratio))
+                placed.append(
+                    SuspensionPart(place, _at_wheel(part, place, kind, tables, ratio, loads, parameter), parameter, ratio)
+                )
+        for element in vehicle.elements:
+            if place.corner in element.corners:
+                placed.append(SuspensionPart(place, _at_wheel(element.part, place, kind, tables, ratio, loads, ""), "", ratio))
     return tuple(placed)
 
 

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from models.characteristics.curve_reading import DEFLECTION, Argument
 from models.characteristics.ratio_table import line
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
@@ -18,6 +19,7 @@ class Spring(Characteristic):
     """Spring with a curve."""
 
     argument: ClassVar[Quantity] = "deflection"
+    replaces: ClassVar[tuple[str, Argument]] = "stiffness", DEFLECTION
     stores: ClassVar[bool] = True
 
     def stored(self, d: Array, z: Any = None) -> Array:

@@ -1,169 +1,29 @@
-"""Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
+"""Bump stops of a suspension: `[limits] suspension_stroke` and `stop_stiffness`.
 
-A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
-rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, a table has the force at each point,
-and {bump, rebound} has one for each side. An omitted side has no stop.
-
-The table of a side with a stroke is over the compression of the stop. That of a side without one is over the compression of the
-suspension, and its force is 0 up to the stop. For rebound, negative compressions are the stop's, unless the table has none.
-
-A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
-leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
+A stop begins at the end of its stroke and pushes back, see `models.characteristics.stops`. MuJoCo's springs have a dead band and
+a polynomial, so that a stop without a table is one of these.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from models.characteristics import SIDES
+from models.characteristics.stops import SLACK, Stop, StopTable, pair_words
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing, quoted
-from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema, read
-from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
-from models.parts.part import BUMP_STOP, SIDES, Limit, Line, Part, Quantity
-
-if TYPE_CHECKING:
-    from models.characteristics.curve import ForceCurve
-    from models.kinds.kind import Suspension
-    from models.parts.native import Tendon
-
-MOST = 3  # coefficients, as MuJoCo's polynomial springs have
-SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
-ROUNDING = 1e-9  # of the largest force of a table: less is 0
-
-
-@dataclass(frozen=True)
-class StopTable:
-    """Force of a stop at some points, straight between them and beyond the last one.
-
-    Attributes:
-        compression: compression of the stop or of the suspension, ascending [m].
-        force: positive if it pushes back in compression [N].
-        fit_error: largest error of fewer points, over the largest force; None for the usual one.
-        note: remark of the table, a phrase.
-    """
-
-    compression: tuple[float, ...]
-    force: tuple[float, ...]
-    fit_error: float | None = None
-    note: str = ""
-
-    def __str__(self) -> str:
-        return f"table of {len(self.force)} points up to {max(map(abs, self.force)):g} N"
-
-    @cached_property
-    def curve(self) -> "ForceCurve":
-        """The force over the compression of the stop, 0 before its first point."""
-        from models.characteristics.curve import ForceCurve
-        from models.characteristics.curve_reading import as_lines
-
-        x, force, words = as_lines(np.array(self.compression), np.array(self.force), self.fit_error)
-        return ForceCurve(np.array([-1.0, *x]), np.array([0.0, *force]), 0.0, words)
-
-
-@lru_cache(maxsize=64)
-def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None":
-    """Returns the stop of a side from a table; None if a table without a stroke has no force there.
-
-    Args:
-        table: table over the compression of the stop, or of the suspension without a stroke.
-        sign: sign of the side's deflection.
-        stroke: travel to the beginning of the stop [m]; None if the table contains it.
-
-    Raises:
-        InputError: the stop touches at rest, or elsewhere than the stroke says, or it pulls.
-    """
-    u, force = np.array(table.compression), np.array(table.force)
-    if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
-        u, force = -u[::-1], -force[::-1]
-    if u[0] < 0 < u[-1] and 0.0 not in u:
-        i = int(np.searchsorted(u, 0.0))
-        u, force = np.insert(u, i, 0.0), np.insert(force, i, np.interp(0.0, u, force))
-    force = np.where(np.abs(force) <= ROUNDING * np.abs(force).max(), 0.0, force)[u >= 0]
-    u = u[u >= 0]
-    for i in np.flatnonzero(force < 0)[:1].tolist():
-        raise InputError(f"its table pulls with {-force[i]:.6g} N at {u[i]:g} m; give forces that push back")
-    if not force.any():
-        if stroke is None:
-            return None
-        raise InputError("its table has no force on this side; give it over the compression of the stop")
-    first = int(np.flatnonzero(force)[0]) - 1
-    if first < 0 or (stroke is None and not u[first]):
-        raise InputError(
-            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point of contact before; "
-            "begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = [22e3, { ... }]"
-        )
-    if stroke is not None and u[first]:
-        raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of them")
-    if force[-1] < force[-2]:
-        raise InputError(
-            f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; end it flat or rising"
-        )
-    gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
-    cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
-    return Stop(gap if stroke is None else stroke, cut)
-
-
-Stiffness = float | tuple[float, ...] | StopTable
-
-
-@dataclass(frozen=True)
-class StopPair:
-    """Different values for bump and rebound; None of a side without a stop."""
-
-    bump: Any
-    rebound: Any
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Bump stop of one side.
-
-    Attributes:
-        stroke: travel from rest to its beginning [m]; infinite without a stop.
-        stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
-    """
-
-    stroke: float
-    stiffness: tuple[float, float, float] | StopTable
-
-    @property
-    def pushes(self) -> bool:
-        """True if it pushes back at all."""
-        return isinstance(self.stiffness, StopTable) or any(self.stiffness)
-
-    def at_wheel(self, ratio: float) -> "Stop":
-        """Returns the stop at the wheel: r times its force at r times the compression there."""
-        law = self.stiffness
-        if isinstance(law, StopTable):
-            both = (law.compression, 1 / ratio), (law.force, ratio)
-            compression, force = (tuple(factor * x for x in values) for values, factor in both)
-            return Stop(self.stroke / ratio, replace(law, compression=compression, force=force))
-        first, second, third = law
-        return Stop(self.stroke / ratio, (first * ratio**2, second * ratio**3, third * ratio**4))
-
-    def acts(self, beyond: Array) -> Array:
-        """Returns its force [N] at a compression [m], shape (...)."""
-        if isinstance(self.stiffness, StopTable):
-            return self.stiffness.curve(beyond)
-        first, second, third = self.stiffness
-        return beyond * (first + beyond * (second + beyond * third))
-
-    def work(self, beyond: Array) -> Array:
-        """Returns its stored energy [J] at a compression [m], shape (...)."""
-        if isinstance(self.stiffness, StopTable):
-            return self.stiffness.curve.work(beyond)
-        first, second, third = self.stiffness
-        return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
+from models.kinds.kind import Suspension
+from models.parts.native import Tendon
+from models.parts.part import BUMP_STOP, Limit, Line, Part, Quantity
 
 
 @dataclass(frozen=True)
 class Stops(Part):
     """Bump stops of a suspension, one for each side."""
 
+    contact: ClassVar[bool] = True
     stores: ClassVar[bool] = True
     argument: ClassVar[Quantity] = "deflection"
 
@@ -217,7 +77,7 @@ class Stops(Part):
         """See `Part.native`."""
         return True
 
-    def write(self, tendon: "Tendon") -> None:
+    def write(self, tendon: Tendon) -> None:
         """Writes springs with a dead band of the stroke; a stop with a table is the pieces of its curve. See `Part.write`.
 
         If bump and rebound differ, each is a spring that is slack to the other side.
@@ -240,224 +100,11 @@ class Stops(Part):
 
     @property
     def words(self) -> str:
-        """Both strokes and the type of the stops."""
-        if self.bump.stroke == self.rebound.stroke:
-            where = f"±{self.bump.stroke:g} m"
-        else:
-            where = " and ".join(f"{sign * stop.stroke:+g} m in {side}" for side, (sign, stop) in self.sides.items())
-        laws = [stop.stiffness for _, stop in self.sides.values()]
-        if tables := [law for law in laws if isinstance(law, StopTable)]:
-            notes = "".join(f", {law.note}" for law in dict.fromkeys(tables) if law.note)
-            return f"bump stops with tables at {where}{notes}"
-        progressive = any(law[1:] != (0.0, 0.0) for law in laws if not isinstance(law, StopTable))
-        return f"{'progressive ' * progressive}bump stops at {where}"
+        """See `Part.words`."""
+        return pair_words((self.bump, self.rebound))
 
     @classmethod
-    def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple[Part, str]]:
+    def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
         """Yields the stops of a suspension, from `[limits]`."""
-        if (own := vehicle.limits.stops(vehicle.kind.suspensions).get(place.deflection)) is not None:
-            yield own, ""
-
-
-@dataclass(frozen=True)
-class OfSides(Key):
-    """A value for both sides, or one for each side: { bump = ..., rebound = ... }; an omitted side has no stop."""
-
-    one: Key
-    meaning: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "unit", self.one.unit)
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the value, or a `StopPair`."""
-        if not isinstance(value, Mapping) or {"force", "file"} & set(value):
-            return self.one.read(value, context)
-        given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
-        if not given or not set(given) <= set(SIDES):
-            raise InputError(
-                f"{HERE} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
-            )
-        return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the value, and of one for each side."""
-        one = dict(self.one.json)
-        return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
-
-
-@dataclass(frozen=True)
-class StopStiffness(Key):
-    """A stiffness, up to three coefficients, or a table of force over compression."""
-
-    meaning: str = ""
-    unit: str = "N/m"
-
-    def read(self, value: Any, context: Mapping[str, Any]) -> "Stiffness":
-        """Returns the stiffness."""
-        if isinstance(value, Mapping):
-            return _stop_table(value)
-        if not isinstance(value, (list, tuple)):
-            return SI("N/m").number(HERE, value)
-        if not 1 <= len(value) <= MOST:
-            raise InputError(
-                f"{HERE} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
-                "push back with k_1 x + k_2 x^2 + k_3 x^3"
-            )
-        units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
-        return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
-
-    @property
-    def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a number, a list of coefficients, or a table."""
-        number = SI(self.unit).json
-        several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        from models.characteristics.curve_reading import StopTableSection
-
-        return {"anyOf": [number, several, json_schema(StopTableSection), {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
-
-
-@dataclass(frozen=True)
-class StopSection(Section):
-    """Keys of bump stops in `[limits]`, and in `[limits.CORNER]`."""
-
-    by_place: ClassVar[bool] = True
-    hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("actuator_force", "actuator_bandwidth", "limit"), "is a key of all suspensions; move it to [limits]"
-    )
-
-    suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel either way before the bump stop")] = None
-    stop_stiffness: Annotated[Any, OfSides(StopStiffness(), "stiffness of the stop, up to three coefficients, or a table")] = None
-    stop: Annotated[Any, OfSides(StopStiffness(), "the same as `stop_stiffness`")] = None
-
-    def __post_init__(self) -> None:
-        if self.stop is not None and self.stop_stiffness is not None:
-            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
-        if self.stop is not None:
-            object.__setattr__(self, STOP_KEYS[1], self.stop)
-            object.__setattr__(self, STOP, None)
-
-
-def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> Stops:
-    """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`.
-
-    Raises:
-        InputError: a table is not that of a stop; see `stop_of`.
-    """
-    both = []
-    for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
-        length, spring = _of_side(stroke, side), _of_side(stiffness, side)
-        stop = None
-        if isinstance(spring, StopTable):
-            with error_in(f"{side}:"):
-                stop = stop_of(spring, sign, length)
-                if stop is None and isinstance(stiffness, StopPair):
-                    here, there = ("compression", "extension")[:: -int(sign)]
-                    own = ", or also give suspension_stroke if it is over the compression of the stop itself"
-                    raise InputError(
-                        f"its table has no force in {here}, only in {there}; give it over {here}{own if sign > 0 else ''}"
-                    )
-        elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
-            has, other = STOP_KEYS[:: 1 if spring is None else -1]
-            raise InputError(f"{side}: {has} has a value, but {other} has no {side}; give both or neither")
-        elif length is not None and spring is not None:
-            first, second, third = (*(spring if isinstance(spring, tuple) else (spring,)), 0.0, 0.0)[:MOST]
-            stop = Stop(length, (first, second, third))
-        both.append(stop or Stop(math.inf, (0.0, 0.0, 0.0)))
-    return Stops(*both)
-
-
-def _of_side(value: Any, side: str) -> Any:
-    return getattr(value, side) if isinstance(value, StopPair) else value
-
-
-def _stop_table(value: Mapping[str, Any]) -> StopTable:
-    from models.characteristics.curve_reading import StopTableSection
-
-    given = read(HERE, StopTableSection, value)
-    x, force = (-values[::-1] for values in given.points)
-    if not force.any():
-        raise InputError(f"{HERE} has a table without a force against bump or rebound")
-    if x[-1] < 0 and not force[-1]:
-        x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop that begins with contact
-    table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
-    with error_in(f"{HERE}:"):
-        _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
-    return table
-
-
-def holds(place: str, corner: str) -> bool:
-    """Returns True if a corner belongs to the place of that name: a corner, an axle, or with an empty name all corners."""
-    return not place or f"{corner}_".startswith(f"{place}_")
-
-
-def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> dict[str, StopSection]:
-    """Returns the stops of sections of corners and axles, by name.
-
-    Args:
-        common: keys of stops of all suspensions.
-        own: sections of corners and axles.
-        corners: names of the suspensions' corners; empty for a single suspension.
-
-    Raises:
-        InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
-    """
-    known, places = places_of(corners), {"": common}
-    for name, value in own.items():
-        if name not in known:
-            has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_NAMES)}")
-        places[name] = read(f"[limits.{name}]", StopSection, value)
-    for corner in corners:
-        stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
-        polynomial = any(not isinstance(_of_side(stiffness, side), StopTable | None) for side in SIDES)
-        if stiffness is None if stroke is not None else polynomial:
-            where = f" of {corner}" if corner and len(places) > 1 else ""
-            raise InputError(
-                f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
-            )
-        with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
-            if stiffness is not None:
-                stops(stroke, stiffness)
-    return {name: one for name, one in places.items() if one is not common}
-
-
-def places_of(corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the possible names of sections: corners, and common beginnings of their names."""
-    parts = [corner.split("_") for corner in corners if corner]
-    return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
-
-
-def stops_at(places: Mapping[str, StopSection], corner: str) -> Stops | None:
-    """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
-    stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
-    pair = stops(stroke, stiffness or 0.0)
-    return pair if pair.sides else None
-
-
-def stop_words(by_corner: Mapping[str, Stops | None]) -> list[str]:
-    """Describes stops by corner, with one phrase for all corners with equal stops."""
-    alike: dict[Stops, list[str]] = {}
-    for corner, stops in by_corner.items():
-        if stops is not None:
-            alike.setdefault(stops, []).append(corner)
-    return [stops.words + _where(corners, list(by_corner)) for stops, corners in alike.items()]
-
-
-def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
-    """Names some corners by the shortest names that fit them alone."""
-    if len(corners) == len(corners_of_vehicle):
-        return ""
-    names = []
-    for name in places_of(corners_of_vehicle):
-        members = [corner for corner in corners_of_vehicle if holds(name, corner)]
-        if {*members} <= {*corners} and not any(holds(other, name) for other in names):
-            names.append(name)
-    return f" ({', '.join(names)})"
-
-
-def _said(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
-    """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
-    values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
-    return values.get(max(values, key=len, default=""))
+        if (own := vehicle.limits.stops_at(place.corner)) is not None:
+            yield cls(*own), ""

@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from typing import Any
 
+from models.characteristics.adjustable_range import ActuatorSection
+from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
+from models.characteristics.ratio_table import RatioSection
+from models.characteristics.stops import StopSection, places_of
 from models.common.schema import NUMBER, Section, described, json_schema
 from models.laws.filter import FilterSection
-from models.parts.stop import StopSection, places_of
-from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
-from models.parts.damper_section import ActuatorSection
-from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection

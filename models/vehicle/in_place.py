@@ -12,13 +12,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from models.characteristics.curve_file import curve_tables
 from models.common.errors import InputError, listing, quoted
 from models.common.files import origin, parse_toml, path_from, reading
 from models.common.table import find_table
 from models.common.toml_edit import Replacement, with_replacements
 from models.common.units import in_unit
 from models.laws.python_law import PythonLaw
-from models.characteristics.curve_file import curve_tables
 from models.vehicle.law_file import MATRICES, SAVE, read_law
 
 KEY = "family"

@@ -6,17 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
+from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
+from models.characteristics.stops import Pair, StopPair, StopSection, read_places, stop_words, stops_at
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
-from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
-from models.parts.stop import StopPair, StopSection, read_places, stop_words, stops_at
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.parts.stop import Stops
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
@@ -62,12 +61,12 @@ class Limits(LimitsSection):
         """True if any key of bump stops is given."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
-    def stops_at(self, corner: str) -> "Stops | None":
+    def stops_at(self, corner: str) -> Pair | None:
         """Returns the bump stops of a corner, or None if it has no stops."""
         return stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
-    def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, Stops]":
-        """Returns the bump stops of a vehicle's suspensions, by deflection, without those that have no stops."""
+    def stops(self, suspensions: "Sequence[Suspension]") -> dict[str, Pair]:
+        """Returns the stops in bump and rebound of a vehicle's suspensions, by deflection, without those that have no stops."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 

@@ -138,7 +138,7 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
     pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions]
-    pairs, parts = [pair for pair in pairs if pair[0] in names - sensed], [one for one in vehicle.parts if one.part.acts]
+    pairs, parts = [pair for pair in pairs if pair[0] in names - sensed], [one for one in vehicle.parts if one.acts]
     if not (pairs or parts):
         return
     from models.parts.native import Tendon, check_line, sense_velocities
@@ -158,12 +158,12 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
         places = [(one, Tendon(spec, one.tendon, rest[one.tendon], FITTED)) for one in parts]
         for one, tendon in places:
-            if one.part.native:
+            if one.native:
                 one.part.write(tendon)
-        for name in dict.fromkeys(one.tendon for one in parts if not one.part.native):
+        for name in dict.fromkeys(one.tendon for one in parts if not one.native):
             Tendon(spec, name, rest[name], FITTED).add_motor()
         for one, tendon in places:
-            one.part.write_input(tendon, not one.part.native)
+            one.part.write_input(tendon, not one.native)
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:

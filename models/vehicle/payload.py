@@ -9,21 +9,22 @@ with these parameters. Its motion is about its own rest, where every suspension 
 ratio over travel is then about that rest.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from models.characteristics import SIDES
+from models.characteristics.curve import ForceCurve
+from models.characteristics.stops import StopPair, StopSection
+from models.characteristics.surface import ForceSurface
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, Section, read
 from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
-from models.parts.part import SIDES
-from models.parts.stop import StopPair, StopSection
-from models.characteristics.curve import ForceCurve
-from models.characteristics.surface import ForceSurface
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")
@@ -119,17 +120,18 @@ def _sunk(
     for part in kind.suspensions:
         if part.deflection not in stops:
             continue
-        pair = stops[part.deflection]
+        pair = dict(zip(SIDES, stops[part.deflection], strict=True))
         stretched = part.motion_ratio(parameters) * float(model.rows([part.deflection])[0][0] @ rest)
         stretched = known.get(part.deflection, stretched)
-        left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
+        left = {"bump": pair["bump"].stroke + stretched, "rebound": pair["rebound"].stroke - stretched}
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(
                 f"[payload] moves {part.deflection} by {stretched:.3g} m, beyond the {short} stroke of "
-                f"{getattr(pair, short).stroke:g} m; give less mass, or another place"
+                f"{pair[short].stroke:g} m; give less mass, or another place"
             )
-        strokes = StopPair(*(left[side] if side in pair.sides else None for side in SIDES))
-        stiffness = StopPair(*(getattr(pair, side).stiffness if side in pair.sides else None for side in SIDES))
+        some = [side for side in SIDES if math.isfinite(pair[side].stroke)]
+        strokes = StopPair(*(left[side] if side in some else None for side in SIDES))
+        stiffness = StopPair(*(pair[side].stiffness if side in some else None for side in SIDES))
         if part.corner:
             places[part.corner] = StopSection(strokes, stiffness)
         else:

@@ -8,19 +8,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from models.characteristics import SIDES
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.plausibility import Known
 from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
-from models.parts.part import SIDES
 
 if TYPE_CHECKING:
-    from models.kinds.kind import Suspension
+    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
-    from models.parts.damper_section import Damper
     from models.characteristics.ratio_table import RatioTable
+    from models.kinds.kind import Suspension
     from models.vehicle.limits_and_implementation import Limits
 
 
@@ -160,7 +160,7 @@ def curves_and_parameters(
     curves = dict[str, "ForceCurve"]()
     if section:
         from models.characteristics.curve_reading import read_curves
-        from models.parts.fitted_curves import curvable
+        from models.parts.lines import curvable
 
         over, ratios = curvable(kind.suspensions), _ratios(section, kind)
         at_rest = {name: table.at_rest for name, table in ratios.items()}
@@ -307,7 +307,7 @@ def suspension_doubts(
             doubts |= dict.fromkeys(f"{name}: {said}" for said in damper_doubts(*both, critical))
         if (spring := curves.get(part.stiffness)) is not None:
             doubts |= dict.fromkeys(f"{part.stiffness}: {said}" for said in length_doubts(max(-spring.x[0], spring.x[-1])))
-        for side, (_, stop) in stops[part.deflection].sides.items() if part.deflection in stops else ():
+        for side, stop in zip(SIDES, stops.get(part.deflection, ()), strict=False):
             doubts |= dict.fromkeys(f"[limits] {side} stop: {said}" for said in stop_doubts(stop, load and load / ratio))
     return list(doubts)
 

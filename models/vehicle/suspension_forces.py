@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.parts.part import Stack
+from models.parts.part import Stack, alike
 from models.vehicle.vehicle import Vehicle
 
 
@@ -16,34 +16,79 @@ class SuspensionForces:
 
     Attributes:
         acts: True for each suspension that has a force beyond the linear model, shape (s,).
+        states: number of the parts' own states, k.
+        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False) -> None:
+    def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
         """Takes N vehicles, or one for any number of runs.
 
         Args:
             by_motor: True for parts alone that have no form native to MuJoCo.
+            contacts: False leaves out parts without effect before an end of the linear regime.
+            whole: True adds the lines of parts that are no parameters, which linear models have, but not the kinds' equations.
         """
         first, inputs = vehicles[0], vehicles[0].linear_model.inputs
         places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}
-        self.acts = np.zeros(len(places), dtype=bool)
-        self._stacks: list[tuple[int, int | None, Stack]] = []
+        self.acts, self.states, self.inertance = np.zeros(len(places), dtype=bool), 0, None
+        groups, self._stacks = list[tuple[list[int], bool]](), list[tuple[Array | slice, Array | None, slice, Stack]]()
         for k, one in enumerate(first.parts):
-            if not one.part.acts or (by_motor and one.part.native):
+            line = whole and not one.parameter
+            if not (one.part.acts or (line and one.acts)) or (by_motor and one.native) or (one.part.contact and not contacts):
                 continue
-            own = inputs.index(one.place.force) if one.part.inputs else None
-            self._stacks.append((places[one.deflection], own, Stack([vehicle.parts[k].part for vehicle in vehicles])))
             self.acts[places[one.deflection]] = True
+            for some, own in groups:
+                separate = one.deflection not in [first.parts[j].deflection for j in some]
+                if own == line and separate and all(alike(each.parts[some[0]].part, each.parts[k].part) for each in vehicles):
+                    some.append(k)
+                    break
+            else:
+                groups.append(([k], line))
+        for some, line in groups:
+            chosen = [first.parts[k] for k in some]
+            columns = np.array([places[one.deflection] for one in chosen])
+            own = np.array([inputs.index(one.place.force) for one in chosen]) if chosen[0].part.inputs else None
+            every = slice(None) if np.array_equal(columns, np.arange(len(places))) else columns
+            kept = slice(self.states, self.states + len(some) * chosen[0].part.states)
+            stack = Stack([[vehicle.parts[k].part for k in some] for vehicle in vehicles], line)
+            self.states = kept.stop
+            self._stacks.append((every, own, kept, stack))
+            if any(one.part.inertance for one in chosen):
+                self.inertance = np.zeros((len(vehicles), len(places))) if self.inertance is None else self.inertance
+                self.inertance[:, columns] += [[vehicle.parts[k].part.inertance for k in some] for vehicle in vehicles]
 
-    def __call__(self, d: Array, v: Array, inputs: Array) -> Array:
-        """Returns the forces [N], shape (..., N, s).
+    def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
+        """Returns the forces without those of inertial parts [N], shape (..., N, s).
 
         Args:
             d, v: deflections [m] and their rates [m/s] at the wheels, shape (..., N, s).
             inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
                 [N s/m], shape (..., N, m).
+            z: the parts' own states, shape (..., N, k).
         """
-        pulls = np.zeros_like(d)
-        for i, j, parts in self._stacks:
-            pulls[..., i] += parts.beyond(d[..., i], v[..., i], None, 0.0 if j is None else inputs[..., j])
-        return pulls
+        pulls = None
+        for columns, own, kept, parts in self._stacks:
+            u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
+            if isinstance(columns, slice):
+                pull = parts.beyond(d, v, states, u)
+                pulls = pull if pulls is None else pulls + pull
+            else:
+                pulls = np.zeros(d.shape) if pulls is None else pulls
+                pulls[..., columns] += parts.beyond(d[..., columns], v[..., columns], states, u)
+        return np.zeros(d.shape) if pulls is None else pulls
+
+    def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
+        """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""
+        rates = np.empty(z.shape)
+        for columns, own, kept, parts in self._stacks:
+            if kept.stop > kept.start:
+                u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
+                rates[..., kept] = parts.rate(d[..., columns], v[..., columns], states, u).reshape(*z.shape[:-1], -1)
+        return rates
+
+
+def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
+    """Returns the states of some parts, shape (..., N, columns, states); None for parts without."""
+    if z is None or kept.stop == kept.start:
+        return None
+    return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing
@@ -22,7 +23,7 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
-from models.parts.part import BUMP_STOP, SIDES
+from models.parts.part import BUMP_STOP
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
@@ -47,12 +48,12 @@ from models.vehicle.sections import (
 )
 
 if TYPE_CHECKING:
-    from models.laws.filter import Filter
-    from models.parts.adjustable import Adjustable
+    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
-    from models.parts.damper_section import Damper
-    from models.parts.part import SuspensionPart
     from models.characteristics.ratio_table import RatioTable
+    from models.laws.filter import Filter
+    from models.parts.element import Element
+    from models.parts.part import SettablePart, SuspensionPart
 
 
 def kinds(folder: Path = HERE) -> list[str]:
@@ -98,6 +99,7 @@ class VehicleFile(Section):
     curves: Annotated[Entries, AnyTable("curves of springs, dampers and motion ratios")] = field(default_factory=dict)
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
+    parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
 
 
 SECTIONS = tuple(keys(VehicleFile))
@@ -128,6 +130,7 @@ class Vehicle(Shown):
         curves: curves of dampers and springs, by the parameter that each curve replaces.
         dampers: adjustable dampers instead of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
+        elements: force elements of `[parts]`.
         force_limits: limits with those of actuators that push, for the controllers that drive these instead of the dampers.
 
     Raises:
@@ -150,6 +153,7 @@ class Vehicle(Shown):
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
     sums: tuple[WeightedSum, ...] = ()
     force_limits: Limits | None = None
+    elements: "tuple[Element, ...]" = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -193,7 +197,7 @@ class Vehicle(Shown):
     @cached_property
     def parts(self) -> "tuple[SuspensionPart, ...]":
         """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
-        if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped):
+        if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return ()
         from models.parts.registry import parts_of
 
@@ -216,8 +220,8 @@ class Vehicle(Shown):
 
     @property
     def is_curved(self) -> bool:
-        """True if a suspension has a curve that is not straight."""
-        return any(each.curve.bent for each in self.fitted)
+        """True if a force of a suspension differs from its line before a contact."""
+        return any(one.part.bent and not one.part.contact for one in self.parts)
 
     def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
@@ -249,12 +253,19 @@ class Vehicle(Shown):
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
         straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
         kind = replace(self.kind, ratios=straight) if straight else self.kind
-        return replace(self, kind=kind, curves={}, dampers=dampers) if self.fitted else self
+        elements = tuple(one.straight for one in self.elements)
+        return replace(self, kind=kind, curves={}, dampers=dampers, elements=elements) if self.is_curved else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
-        """Linear model of these parameters."""
-        return self.kind.model(self.parameters)
+        """Linear model of these parameters, with the lines of all parts."""
+        model = self.kind.model(self.parameters)
+        more = [one for one in self.parts if not one.parameter and (one.part.line.stiffness or one.part.line.damping)]
+        if not more:
+            return model
+        names, lines = [one.deflection for one in more], [one.part.line for one in more]
+        stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
+        return model.with_lines(model.rows(names)[0], *self.pulls_on(names), stiffness, damping)
 
     @property
     def wheel_model(self) -> LinearModel:
@@ -332,13 +343,14 @@ class Vehicle(Shown):
         return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
 
     @cached_property
-    def adjustable(self) -> "tuple[Adjustable, ...]":
+    def adjustable(self) -> "tuple[SettablePart, ...]":
         """Adjustable dampers, in the order of the forces."""
         if not self.dampers:
             return ()
-        from models.parts.adjustable import adjustable
+        from models.parts.registry import part_class
 
-        return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
+        placed = part_class("adjustable damper").in_vehicle
+        return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
@@ -566,9 +578,9 @@ class Vehicle(Shown):
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            from models.parts.adjustable import check_measured
+            from models.parts.registry import part_class
 
-            check_measured(entry.name, entry.measured, self.adjustable)
+            part_class("adjustable damper").check_measured(entry.name, entry.measured, self.adjustable)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
@@ -648,9 +660,14 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         units = {name: vehicle_kind.possible[name].unit for name in model.measurable}
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
         implementation, sampled = section.implementation, section.sampled
+    elements = ()
+    if given.parts:
+        from models.parts.element import read_elements
+
+        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions])
     dampers = dict[str, "Damper"]()
     if given.actuators:
-        from models.parts.damper_section import read_actuators
+        from models.characteristics.adjustable_range import read_actuators
 
         forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
         dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)
@@ -662,7 +679,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         named.update(signals)
     for part in vehicle_kind.suspensions:
         curved = part.force in dampers and dampers[part.force].pair is not None
-        if curved or {part.stiffness, part.damping, part.ratio} & {*curves, *vehicle_kind.ratios}:
+        placed = any(part.corner in one.corners for one in elements)
+        if placed or curved or {part.stiffness, part.damping, part.ratio} & {*curves, *vehicle_kind.ratios}:
             named.add(part.velocity.name)
     vehicle_kind = vehicle_kind.naming(named)
     if dampers:
@@ -680,6 +698,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         sampled=sampled,
         curves=curves,
         dampers=dampers,
+        elements=elements,
     )
     if dampers or vehicle_kind.ratios:
         _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines

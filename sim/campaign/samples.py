@@ -12,11 +12,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from models.characteristics.adjustable_range import CURVED
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
-from models.parts.adjustable import Adjustable
-from models.parts.damper_section import CURVED
+from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values
@@ -130,15 +130,20 @@ def read_samples(
 def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
     """Returns the sampled parameters of a vehicle."""
     parameters = {parameter.name: parameter for parameter in vehicle.kind.parameters}
+    elements = {key: one for element in vehicle.elements for key, one in element.numbers.items()}
     own = {**vehicle.parameters, **{damper: value for damper, (value, _) in _of_dampers(vehicle).items()}}
+    own |= {key: value for key, (value, _) in elements.items()}
 
     def check(key: str, value: float) -> None:
         if key in parameters:
             parameters[key].check(value)
+        elif key in elements:
+            elements[key][1].number(key, value)
         else:
             SI("", low=0.0).number(key, value)
 
     units = {key: parameter.unit for key, parameter in parameters.items()}
+    units |= {key: one.unit for key, (_, one) in elements.items()}
     samples = sampler.draw(f"[samples.parameters] vehicle {name!r}:", table, own, check, units)
     for sample in samples:
         with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
@@ -184,7 +189,9 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
         curved = {one for one in vehicle.adjustable if name in CURVED and one.damper.pair is not None}
-        values: dict[Adjustable, Any] = {one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable}
+        values: dict[SettablePart, Any] = {
+            one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable
+        }
         if len(set(values.values())) == 1:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])
         quantities |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}
@@ -200,5 +207,6 @@ def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
     for name in (one for one in known if one in sample):
         for force in known[name][1]:
             dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
-    parameters = {name: value for name, value in sample.items() if name not in known}
-    return vehicle.altered(parameters, dampers=dampers)
+    elements = tuple(one.sampled(sample) for one in vehicle.elements)
+    parameters = {name: value for name, value in sample.items() if name in vehicle.parameters}
+    return vehicle.altered(parameters, dampers=dampers, elements=elements)

@@ -33,8 +33,21 @@ def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m)."""
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
-    ratios = vehicle.ratios_along(physics.__getitem__) / np.array([*vehicle.motion_ratios.values()])
-    return (of.at_rest - states @ stretching(vehicle).T) * ratios
+    travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
+    return (of.at_rest - states @ stretching(vehicle).T) * turns(vehicle, travels)
+
+
+def turns(vehicle: Vehicle, travels: Array) -> Array | float:
+    """Returns the motion ratio of every force over that at rest, shape (..., m), or 1 if none changes with travel.
+
+    Args:
+        travels: deflections of the suspensions [m], shape (..., s).
+    """
+    if not vehicle.ratio_tables:
+        return 1.0
+    parts = [part.deflection for part in vehicle.kind.suspensions]
+    at = {force: travels[..., parts.index(vehicle.kind.pushed(force))] for force in vehicle.linear_model.inputs}
+    return np.stack([vehicle.ratio_at(force, d) / vehicle.motion_ratios[force] for force, d in at.items()], axis=-1)
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:

@@ -1,4 +1,4 @@
-"""The exact linear response to known forces: for controllers without a linear analysis.
+"""The exact linear response to known forces: for controllers without a linear analysis. With curves it is that of RK4.
 
 As in `sim.linear.sampled_response`, but the forces u[k], held from one sample to the next, are given, and no loop is closed:
 
@@ -17,7 +17,6 @@ from sim.linear.sampled_response import (
     outside_at_samples,
     response_of,
     road_forcing,
-    taylor4,
     with_linear_sides,
 )
 from sim.response.recursion import recursion
@@ -31,29 +30,23 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
     Args:
         forces: requested at every sample [N], shape (T, m).
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding. With curves the response is that
+            of RK4.
     """
-    vehicle, time, h, model = road.vehicle, road.time, road.timestep, with_lag(road.vehicle)
+    vehicle, h, model = road.vehicle, road.timestep, with_lag(road.vehicle)
+    of_heights = model.C @ model.jump + model.Cr
+    if vehicle.is_curved:
+        from sim.linear.stepped import driven_response
+
+        return with_linear_sides(driven_response(forces, road), road, of_heights, True)
     loads = road.held if road.pushed else None
     outside = [] if loads is None else [model.Bh]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
-    of_heights = model.C @ model.jump + model.Cr
     jump, add = road.heights @ model.jump.T, 0.0 if loads is None else road.in_signals @ model.Dh.T
-    if not vehicle.is_curved:
-        push = road.midway @ Gamma_r.T + forces @ Gamma.T
-        if loads is not None:
-            push += loads @ Gamma_l[0].T
-        return with_linear_sides(response_of(model, road, recursion(Phi, push) + jump, forces, add), road, of_heights, True)
-    from sim.linear.piecewise_linear_steps import CurvedSteps
-
-    steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
-    xi = np.zeros((len(time), 1, len(model.A)))
-    for k in range(len(time) - 1):
-        pushed = None if loads is None else loads[k : k + 1] @ model.Bh.T
-        xi[k + 1] = steps(xi[k], forces[k : k + 1], road.midway[k : k + 1], pushed=pushed)
-    states = xi[:, 0] + jump
-    response = response_of(model, road, states, forces, steps.beyond(states, road.heights, forces) + add)
-    return with_linear_sides(response, road, of_heights, True)
+    push = road.midway @ Gamma_r.T + forces @ Gamma.T
+    if loads is not None:
+        push += loads @ Gamma_l[0].T
+    return with_linear_sides(response_of(model, road, recursion(Phi, push) + jump, forces, add), road, of_heights, True)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:

@@ -9,7 +9,7 @@ does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step everythin
 If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity
 over the step, held like a load.
 
-If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
+If a damper or a spring has a curve, the response is that of RK4 (`sim.linear.stepped`), whatever the exponential.
 
 Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
 does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
@@ -130,19 +130,17 @@ def sampled_responses(
     Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
     """
     vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
+    if vehicle.is_curved:
+        from sim.linear.stepped import stepped_responses
+
+        return stepped_responses([controller] * len(roads), roads)
     how, model, time = vehicle.implementation, cut.model, roads[0].time
     loads = np.stack([road.held for road in roads]) if any(road.pushed for road in roads) else None
     outside = [] if loads is None else [model.Bh]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
     now, midway = np.stack([road.heights for road in roads]), np.stack([road.midway for road in roads])
 
-    measured = [model.outputs.index(name) for name in controller.measured]
     jump, push = now @ model.jump.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
-    steps = None
-    if vehicle.is_curved:
-        from sim.linear.piecewise_linear_steps import CurvedSteps
-
-        steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
     # Of loads, by measured accelerations, of measured heights, and of the road ahead, on requested forces and on the rates of the
     # law's states.
     through_readings = None
@@ -155,7 +153,7 @@ def sampled_responses(
         ahead = np.stack([forces_ahead(controller.preview, road, period) for road in roads])
         ahead = np.concatenate([ahead, np.zeros((*ahead.shape[:2], len(cut.hold)))], axis=2)
         through_readings = ahead if through_readings is None else through_readings + ahead
-    if how.undelayed and steps is None:
+    if how.undelayed:
         G = cut.inputs(cut.asked)
         if through_readings is not None:
             through_readings = np.swapaxes(cut.inputs(*np.split(np.swapaxes(through_readings, 1, 2), [cut.forces], axis=1)), 1, 2)
@@ -174,24 +172,15 @@ def sampled_responses(
             if k % period == 0:
                 newest = k // period + how.pending_forces
                 computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
-                more = [] if through_readings is None else [through_readings[:, k]]
-                if steps is not None:  # accelerations that are measured have the curves' forces in them
-                    acted = inputs[:, k - 1] if k else inputs[:, 0]
-                    more.append(steps.beyond(states[:, k], now[:, k], acted)[:, measured] @ cut.reading.T)
-                for term in more:
+                if through_readings is not None:
+                    term = through_readings[:, k]
                     computed[newest], kept = computed[newest] + term[:, : cut.forces], kept + term[:, cut.forces :].T
                 forces = [computed[newest - late].T for _, late in intervals]
                 of_parts = [cut.inputs(force, kept, forces[-1]).T for force in forces]
                 acting = [part for (count, _), part in zip(intervals, of_parts, strict=True) for _ in range(count)]
             inputs[:, k] = acting[k % period]
-            if steps is None:
-                xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
-            else:
-                xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bh.T)
-    beyond = steps.beyond(states, now, inputs) if steps is not None else np.zeros(len(roads))
-    if loads is not None:
-        add = np.stack([road.in_signals for road in roads]) @ model.Dh.T
-        beyond = add if steps is None else beyond + add
+            xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
+    beyond = np.zeros(len(roads)) if loads is None else np.stack([road.in_signals for road in roads]) @ model.Dh.T
     runs = [response_of(model, road, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period
     kept = controller.law.of_state(loop.period) * states[:, last, cut.law_states]

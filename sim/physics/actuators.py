@@ -4,8 +4,8 @@ A controller works with the suspension velocity linearised at equilibrium. When 
 by geometry.
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Hashable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,41 @@ if TYPE_CHECKING:
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the suspensions' closing velocities, one per input; empty without adjustable dampers."""
     return tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
+
+
+def alike(parts: Iterable[tuple[Any, ...]], size: int) -> list[tuple[Array | slice, list[tuple[Any, ...]]]]:
+    """Returns the parts of each key: their indices in an array of a size, and what they are made of, key and index first."""
+    groups: dict[Hashable, list[tuple[Any, ...]]] = {}
+    for one in sorted(parts, key=lambda part: part[1]):
+        groups.setdefault(one[0], []).append(one)
+    return [
+        (slice(None) if len(some) == size else np.array([one[1] for one in some]), list(zip(*some, strict=True)))
+        for some in groups.values()
+    ]
+
+
+class MotionRatios:
+    """Motion ratios of the suspensions of N vehicles of one kind, over their deflections.
+
+    Attributes:
+        at_rest: the ratios at rest, shape (N, s).
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle]) -> None:
+        suspensions = vehicles[0].kind.suspensions
+        self.at_rest = np.array([[part.motion_ratio(one.parameters) for part in suspensions] for one in vehicles])
+        places = [
+            (n, i, one.ratio_tables.get(part.deflection)) for n, one in enumerate(vehicles) for i, part in enumerate(suspensions)
+        ]
+        tables = [(table.key, n * len(suspensions) + i, table) for n, i, table in places if table is not None]
+        self._alike = [(some[2][0], at) for at, some in alike(tables, self.at_rest.size)]
+
+    def __call__(self, d: Array) -> Array:
+        """Returns the ratios at deflections [m], both of shape (N, s)."""
+        ratios, flat = self.at_rest.copy(), d.ravel()
+        for table, at in self._alike:
+            ratios.reshape(-1)[at] = table(flat[at])
+        return ratios
 
 
 class Actuators:
@@ -35,6 +70,7 @@ class Actuators:
             (0, nq + nv) without adjustable dampers.
         at_rest: offsets that keep the closing velocities from being 0, shape (m,) or (0,).
         lags: True if some coefficient lags behind its command.
+        over_travel: True if motion ratios of adjustable dampers change with travel.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
@@ -42,6 +78,7 @@ class Actuators:
         self.vehicles, self.forces, self._lagging = vehicles, len(first.linear_model.inputs), readout.lagging
         self.size, self.lags, self._of, self._ramps = self.forces, False, None, np.zeros(0, dtype=int)
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
+        self.over_travel = bool(first.dampers and first.ratio_tables)
         if not first.dampers:
             return
         from models.parts.damper_range import range_of
@@ -55,9 +92,20 @@ class Actuators:
         self.closing, self.at_rest = np.zeros((self.forces, readout.of_state.shape[1])), self._of.at_rest
         self.closing[adjustable, -speeds:] = -readout.stretching[adjustable]
         self.lags = bool(np.any(readout.lagging[adjustable] >= 0))
+        self._ratios, forces = MotionRatios(vehicles), [part.force for part in first.kind.suspensions]
+        self._suspended = [i for i, name in enumerate(first.linear_model.inputs) if name in forces]
+        self._suspensions = [forces.index(first.linear_model.inputs[i]) for i in self._suspended]
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
         counts = [0 if one.damper.pair is None or one.over_travel else len(one.damper.pair.ramps) for one in first.adjustable]
         self._ramps = np.repeat([first.linear_model.inputs.index(one.force) for one in first.adjustable], counts)
+
+    def turn(self, closing: Array, deflections: Array) -> None:
+        """Multiplies closing velocities, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
+
+        Args:
+            deflections: of all suspensions [m], shape (N, s).
+        """
+        closing[:, self._suspended] *= (self._ratios(deflections) / self._ratios.at_rest)[:, self._suspensions]
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).

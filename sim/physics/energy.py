@@ -55,7 +55,7 @@ from sim.response.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.parts.stop import Stops
+    from models.characteristics.stops import Stops
 
 # Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
 # vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.

@@ -24,7 +24,7 @@ from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, 
 from synth.controller.controller import Controller, code_of
 
 if TYPE_CHECKING:
-    from sim.physics.surface_steps import SurfaceBatch
+    from sim.physics.part_steps import PartBatch
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
@@ -263,7 +263,7 @@ class _Loop:
         count = len(vehicles)
         batch = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
         actuators = Actuators(vehicles, readout)
-        turning = cast("SurfaceBatch", batch) if len(actuators.closing) and vehicles[0].ratio_tables else None
+        over_travel = cast("PartBatch", batch) if actuators.over_travel else None
         computers, undelayed = self._computers(runs, actuators)
         recorder = _Recorder(self, vehicles, actuators)
         now, midway = course.now[:, runs], course.midway[:, runs]
@@ -321,8 +321,8 @@ class _Loop:
                         reading[:, moved:] = measured
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
-                    if turning is not None:  # a damper's velocity is that of its wheel times its ratio there
-                        signals[:, -actuators.forces :] *= turning.ratios(vehicles[0].linear_model.inputs)
+                    if over_travel is not None:
+                        actuators.turn(signals[:, -actuators.forces :], over_travel.deflections())
                 for computer in computers:
                     computer.step(k, signals, commands)
                 acting = commands

@@ -76,12 +76,13 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
-    if any(one.part.acts and not one.part.native for one in vehicles[0].parts):
-        from sim.physics.surface_steps import SurfaceBatch
+    if any(one.acts and not one.native for one in vehicles[0].parts):
+        from models.vehicle.suspension_forces import SuspensionForces
+        from sim.physics.part_steps import PartBatch
 
-        batch: Batch = SurfaceBatch(model, vehicles, models)
-    else:
-        batch = Batch(model, len(vehicles), 1)
+        tendons = [part.tendon for part in vehicles[0].kind.suspensions]
+        return PartBatch(model, tendons, SuspensionForces(vehicles, by_motor=True), len(vehicles), models)
+    batch = Batch(model, len(vehicles), 1)
     if models:
         batch.set_models(models)
     return batch

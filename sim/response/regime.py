@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.characteristics import LEAVES
 from models.common.arrays import Array
 from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.parts import part as parts
 from models.parts.part import Stack
-from models.characteristics import LEAVES
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
@@ -309,9 +309,9 @@ class EndDetector:
         """Returns a function from a block of signals to what the limits of N runs are on, shape (B, N); see `Threshold.of`."""
         signal, tyres = names.index(limits[0].signal), [limit.tyre for limit in limits]
         if ones := [limit.part for limit in limits if limit.part is not None]:
-            stack, d, v = Stack([one.part for one in ones]), names.index(ones[0].deflection), ones[0].place.velocity.name
+            stack, d, v = Stack([[one.part] for one in ones]), names.index(ones[0].deflection), ones[0].place.velocity.name
             speed = names.index(v) if v in names else None
-            return lambda values: stack.beyond(values[:, d], values[:, d] * 0.0 if speed is None else values[:, speed])
+            return lambda values: _beyond(stack, values[:, d], None if speed is None else values[:, speed])
         first = next((tyre for tyre in tyres if tyre is not None), None)
         if first is None:
             return lambda values: values[:, signal]
@@ -342,6 +342,10 @@ class EndDetector:
         self.hubs[tyre] = hubs[-2:]
         before = 2 * hubs[1:-1] - hubs[:-2]
         return np.where(hub - before > JUMP, road - before, -np.inf)
+
+
+def _beyond(parts: Stack, d: Array, v: Array | None) -> Array:
+    return parts.beyond(d[..., None], np.zeros((*d.shape, 1)) if v is None else v[..., None])[..., 0]
 
 
 def reached(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:

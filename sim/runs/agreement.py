@@ -12,6 +12,7 @@ the integrator, geometry, noise, or an event that ends the linear regime.
 
 One comparison with the linear response remains a check, for loops that are exactly linear until that event: MuJoCo must follow
 the exact response of the sampled loop to within RK4's own error. RK4 is the matrix exponential's Taylor polynomial of degree 4.
+With characteristics the response of the sampled loop is that of RK4, and RK4's own error is that on the linearised vehicle.
 
 A vehicle type that rotates and has no equations of motion is compared to first order: the same road is driven at `SMALL` of its
 height, where the relative difference from the linear response must have fallen by the same factor.
@@ -134,7 +135,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         commanded: measurements and commands of its controller; None if they are unknown, which leaves linear analysis alone.
     """
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
-    sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
+    sampled, continuous = prediction.sampled, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
@@ -156,11 +157,12 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
                 until = min(until, steps.until)
         if not prediction.replayed:
             commands = compare_commands(prediction.controller, road, from_steady(road, physics), commanded, diverged)
-    physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
+    physics, sampled, continuous = (r.until(until) for r in (physics, sampled, continuous))
+    exact, integrated = (r.until(until) for r in prediction.linear_pair)
     cause, signals, coarse = prediction.cause, {}, False
     for name, rounded in rounding.items():
         scale = _scale(sampled if prediction.is_linear else physics, name)
-        own = _difference(integrated, sampled, name)
+        own = _difference(integrated, exact, name)
         coarse |= own > COARSEST
         allowed = SLACK * own + ROUNDING + rounded / scale if not cause and prediction.radius <= 1 else math.nan
         signals[name] = SignalAgreement(
@@ -186,13 +188,13 @@ def to_first_order(agreement: Agreement, prediction: Prediction, physics: Respon
         prediction: prediction of the run over the whole road, to which the linear responses are proportional.
         physics: response of MuJoCo over `SMALL` of it.
     """
-    whole = (prediction.sampled, prediction.integrated)
-    physics, sampled, integrated = (one.until(agreement.until) for one in (physics, *whole))
+    whole = (prediction.sampled, *prediction.linear_pair)
+    physics, sampled, exact, integrated = (one.until(agreement.until) for one in (physics, *whole))
     smaller, rounding = Response(sampled.time, sampled.signals, SMALL * sampled.values), roundings(prediction.vehicle, None)
     signals = {}
     for name, signal in agreement.signals.items():
         scale = _scale(smaller, name)
-        allowed = SLACK * _difference(integrated, sampled, name) + ROUNDING + rounding[name] / scale
+        allowed = SLACK * _difference(integrated, exact, name) + ROUNDING + rounding[name] / scale
         signals[name] = replace(signal, small=_difference(physics, smaller, name), allowed=allowed)
     return replace(agreement, signals=signals)
 

@@ -13,8 +13,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.parts.adjustable import Adjustable
-    from models.parts.part import SuspensionPart
+    from models.parts.part import SettablePart, SuspensionPart
 
 PREFIX = "suspension_deflection"  # begins the names of suspensions, in the kinds that ship
 
@@ -108,7 +107,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     )
 
 
-def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
+def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
     from sim.linear.dampers import stretching
 
     model = vehicle.linear_model

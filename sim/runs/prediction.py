@@ -37,8 +37,8 @@ class Prediction:
     Attributes:
         input: the vehicle, with the limits and implementation of this run, and its road.
         controller: controller of the run.
-        sampled: exact response of the sampled loop: linear, except for characteristics. NaN if a law switches adjustable dampers,
-            which is not linear.
+        sampled: response of the sampled loop: exact if that is linear; with characteristics that of RK4. NaN if a law switches
+            adjustable dampers, which is not linear.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop; NaN if the law is not linear.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
@@ -89,17 +89,21 @@ class Prediction:
         """Names the response with which a run is compared."""
         return NONLINEAR if self.vehicle.is_curved else LINEAR
 
-    @cached_property
+    @property
     def linearised(self) -> Response | None:
         """The same sampled response with the line at equilibrium of every characteristic; None if nothing differs from lines."""
-        if not (self.vehicle.is_curved and self.is_linear):
-            return None
-        road = RoadInput(self.vehicle.linearised, self.road, self.time)
-        if isinstance(self.controller, Controller):
-            return sampled_response(LoopModel(road.vehicle, self.controller, self.timestep), road)
-        from sim.linear.forced_response import forced_response
+        return self.linear_pair[0] if self.vehicle.is_curved and self.is_linear else None
 
-        return forced_response(self.requested_force, road)
+    @cached_property
+    def linear_pair(self) -> tuple[Response, Response]:
+        """The exact linear response of the sampled loop, and the same as RK4 makes it; with characteristics of their lines."""
+        if not (self.vehicle.is_curved and self.is_linear):
+            return self.sampled, self.integrated
+        road, controller = RoadInput(self.vehicle.linearised, self.road, self.time), self.controller
+        if isinstance(controller, Controller) and (controller.law.acts or controller.preview is not None):
+            return _sampled_pair(LoopModel(road.vehicle, controller, self.timestep), road)
+        forces = self.requested_force if not isinstance(controller, Controller) else None
+        return _forced_pair(road, forces)
 
     @property
     def cause(self) -> str:
@@ -135,11 +139,12 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
+    sampled, integrated = _sampled_pair(loop, road)
     return Prediction(
         input=road,
         controller=loop.controller,
-        sampled=sampled_response(loop, road),
-        integrated=sampled_response(loop, road, exponential=taylor4),
+        sampled=sampled,
+        integrated=integrated,
         continuous=continuous_response(loop, road),
         radius=loop.radius if small else math.nan,
         loop=loop,
@@ -167,11 +172,26 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
     if isinstance(controller, Controller):
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
-    from sim.linear.forced_response import forced_continuous_response, forced_response
+    from sim.linear.forced_response import forced_continuous_response
 
-    sampled, integrated = forced_response(commands, road), forced_response(commands, road, taylor4)
+    sampled, integrated = _forced_pair(road, commands)
     continuous = forced_continuous_response(commands, road)
     return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested)
+
+
+def _sampled_pair(loop: LoopModel, road: RoadInput) -> tuple[Response, Response]:
+    """Returns the sampled response and the same as RK4 makes it: one response if the vehicle has characteristics."""
+    sampled = sampled_response(loop, road)
+    return sampled, sampled if road.vehicle.is_curved else sampled_response(loop, road, taylor4)
+
+
+def _forced_pair(road: RoadInput, forces: Array | None = None) -> tuple[Response, Response]:
+    """Returns the same for forces at the samples [N], shape (T, m); None for no force."""
+    from sim.linear.forced_response import forced_response
+
+    given = np.zeros((len(road.time), len(road.vehicle.linear_model.inputs))) if forces is None else forces
+    sampled = forced_response(given, road)
+    return sampled, sampled if road.vehicle.is_curved else forced_response(given, road, taylor4)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:

@@ -21,8 +21,9 @@ from models.common.arrays import Array
 from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
+from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
-from sim.linear.linear_motion import LinearMotion, lag_rates, suspension_pulls
+from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.sampled_response import roundings
 from sim.physics.simulate import Commanded
 from sim.response.recursion import SHARES, WEIGHTS, lag_stages, lagging
@@ -159,7 +160,6 @@ class _Starts:
         loads: loads held during the steps, see `RoadInput.held`.
         there: signals of `Motion.names` at their ends, shape (K, p).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
-        ratios: motion ratios held during the steps, shape (K, m) or (m,).
     """
 
     vehicle: Vehicle
@@ -170,7 +170,6 @@ class _Starts:
     loads: Array
     there: Array
     stages: list[Array]
-    ratios: Array
 
 
 def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Array) -> _Starts:
@@ -180,14 +179,13 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     names, m = motion.names, len(vehicle.linear_model.inputs)
     if count == 1:
         nothing = np.zeros((0, len(names)))
-        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4, np.zeros((0, m)))
+        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4)
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
     stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
-    ratios = vehicle.ratios_along(physics.samples(slice(end)).__getitem__)
-    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages, ratios)
+    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages)
 
 
 def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
@@ -195,37 +193,32 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     state, h = starts.state, starts.timestep
     if not len(state):
         return starts.there, starts.there
-    total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
+    total, at, rate, forces = np.zeros_like(state), state, np.zeros_like(state), SuspensionForces([starts.vehicle])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at = state + share * h * rate
-        forces, beyond = _parted(starts.vehicle, given)
-        pulls = partial(suspension_pulls, starts.vehicle, beyond, starts.ratios)
-        rate = motion.rate(at, starts.midway, forces * starts.ratios, pulls, starts.loads)
+        rate = motion.rate(at, starts.midway, _at_wheels(starts.vehicle, given), partial(forces, inputs=given), starts.loads)
         total += weight * rate
     return motion.read(state + h * total, starts.heights[1:]), starts.there
 
 
 def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
     """Returns the vehicle's other signals at the starts by the equations, under given commands and loads, each of shape (K,)."""
-    vehicle, count, seen = starts.vehicle, len(starts.state), list[Array]()
-    kind, names = vehicle.kind, physics.names
-    forces, beyond = _parted(vehicle, given)
+    vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
+    kind, names, forces = vehicle.kind, physics.names, SuspensionForces([vehicle])
 
     def pulls(d: Array, v: Array) -> Array:
-        seen.append(v)
-        return suspension_pulls(vehicle, beyond, starts.ratios, d, v)
+        seen.append((d, v))
+        return forces(d, v, given)
 
-    at_wheels = forces * starts.ratios
-    shown = dict(motion.outputs(starts.state, starts.heights[:-1], at_wheels, pulls, loads))
-    for part, v in zip(kind.suspensions, seen[0].T, strict=True):
+    shown = dict(motion.outputs(starts.state, starts.heights[:-1], _at_wheels(vehicle, given), pulls, loads))
+    travels, speeds = seen[0]
+    for part, v in zip(kind.suspensions, speeds.T, strict=True):
         shown.setdefault(part.velocity.name, v)
     places = {part.force: i for i, part in enumerate(kind.suspensions)}
-    for j, name in enumerate(vehicle.linear_model.inputs):
-        shown[name] = forces[:, j]
+    shown |= dict(zip(vehicle.linear_model.inputs, given.T, strict=True))
     for one in vehicle.adjustable:
-        j = vehicle.linear_model.inputs.index(one.force)
-        coefficient = beyond[:, j]
-        shown[one.force] = -coefficient * one.shape(starts.ratios[..., j] * seen[0][:, places[one.force]])
+        coefficient, i = shown[one.force], places[one.force]
+        shown[one.force] = -coefficient * one.shape(vehicle.ratio_at(one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))
@@ -250,10 +243,10 @@ def _readings(
     return {name: shown[name] for name in some if name in shown}
 
 
-def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
-    """Returns forces [N] and coefficients of adjustable dampers beyond the nominal ones [N s/m], 0 at each other's inputs."""
-    dampers = np.isin(vehicle.linear_model.inputs, list(vehicle.dampers))
-    return np.where(dampers, 0.0, given), np.where(dampers, given, 0.0)
+def _at_wheels(vehicle: Vehicle, given: Array) -> Array:
+    """Returns the forces of actuators at the wheels, at the ratios at rest [N], shape (K, m); 0 for dampers."""
+    forces = vehicle.linear_model.inputs
+    return np.where(np.isin(forces, list(vehicle.dampers)), 0.0, given) * [vehicle.motion_ratios[name] for name in forces]
 
 
 def _given(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.document.field import Field, json_object
-from models.parts.part import SIDES, Part
+from models.parts.part import Part
 from sim.response.regime import AT, BUMP_STOP
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
-from models.common.arrays import Array
 from models.characteristics.curve import ForceCurve
+from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous

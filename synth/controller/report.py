@@ -212,7 +212,7 @@ def line_notes(vehicle: Vehicle) -> list[str]:
     """Returns a note on the linearisation at equilibrium; empty for a vehicle without curves."""
     if not vehicle.fitted:
         return []
-    from models.parts.fitted_curves import lines_at_rest
+    from models.parts.lines import lines_at_rest
 
     slopes = lines_at_rest(vehicle.fitted)
     return [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []

@@ -106,7 +106,7 @@ OWNERS = {
         "models/parts/native.py",
         "sim/physics/sensor_readout.py",
         "sim/physics/run_blocks.py",
-        "sim/physics/surface_steps.py",
+        "sim/physics/part_steps.py",
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
         "sim/recording/scene.py",

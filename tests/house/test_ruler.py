@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from docs.generate import key_sections
+from models.characteristics.curve_reading import StopTableSection
 from models.common import schema
 from models.laws import semi_active
 from models.laws.combinations import DEMANDS, KINDS
 from models.roads.load import LOADS
-from models.characteristics.curve_reading import StopTableSection
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped
 from sim.campaign.samples import DISTRIBUTIONS, METHODS

@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.common.errors import InputError
-from models.common.printed import percent
-from models.roads.road import Bump
 from models.characteristics import LEAVES
 from models.characteristics.curve import ForceCurve
 from models.characteristics.curve_reading import FRICTION_ERROR, VELOCITY, read_curves
+from models.common.errors import InputError
+from models.common.printed import percent
+from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main

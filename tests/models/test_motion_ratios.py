@@ -9,13 +9,13 @@ import pytest
 from scipy.optimize import root_scalar
 
 from models.common.errors import InputError
+from models.parts.lines import lines_at_rest
 from models.roads.choice import choose_road
 from models.roads.road import Bump, RoadInput
-from models.parts.fitted_curves import lines_at_rest
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.physics.actuators import Actuators
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate
-from sim.physics.surface_steps import SurfaceBatch
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from sim.studies.frequency.sweep import failures, sweep
 from sim.studies.ride.expected import expect
@@ -330,7 +330,7 @@ SMALL = {"half_car", "full_car"}  # run over a road on which they hardly turn, w
 @pytest.mark.parametrize("sort", ["curves", "dampers", "measured"])
 @pytest.mark.parametrize("kind", CORNERS)
 def test_stops_and_forces_over_travel(kind, sort):
-    """Stops pull with r(d) F(D(d) - stroke), an actuator with r u, a damper with r (c - c_s) h(r d'), r held over a step."""
+    """Stops pull with r(d) F(D(d) - stroke), an actuator with r u, a damper with r (c - c_s) h(r d'), at every stage."""
     stroke, height = (2e-4, 1e-3) if kind in SMALL else (0.02, 0.08)
     vehicle = parse_vehicle(over_travel(kind, sort, stroke).text.replace("bandwidth = 200.0", ""))
     run = driven(vehicle, "held", f"bump:height={height}")
@@ -345,16 +345,15 @@ def test_stops_and_forces_over_travel(kind, sort):
         shape, damper = lambda v: (hard(v) - soft(v)) / (high - low), lambda v: soft(v) + (1800.0 - low) * shape(v)
 
     def acting(d, v, u):
-        r = ratio_at(d)
-        return r, u if sort == "curves" else np.clip(-u / (shape(r * v) + 1e-300), low - 1800.0, high - 1800.0)
+        return u if sort == "curves" else np.clip(-u / (shape(ratio_at(d) * v) + 1e-300), low - 1800.0, high - 1800.0)
 
-    def pull(d, v, held):
-        (r, u), now, travel = held, ratio_at(d), np.vectorize(travel_at)(d)
+    def pull(d, v, u):
+        r, travel = ratio_at(d), np.vectorize(travel_at)(d)
         squeezed, stretched = np.maximum(-travel - stroke, 0.0), np.maximum(travel - 1.5 * stroke, 0.0)
         laws = enumerate(zip(*STOP.values(), strict=True), 1)
         stops = sum(rebound * stretched**i - bump * squeezed**i for i, (bump, rebound) in laws)
         carried = np.array([springs[part.deflection](x) for part, x in zip(parts, d, strict=True)])
-        return carried + now * (damper(now * v) + stops) + (-r * u if sort == "curves" else r * u * shape(r * v))
+        return carried + r * (damper(r * v) + stops + (-u if sort == "curves" else u * shape(r * v)))
 
     own = integrated(vehicle, run.prediction.input.midway, pull, -1200.0, acting)
     for part, travel in zip(parts, own.T, strict=True):
@@ -398,8 +397,8 @@ def test_semi_active_laws_over_travel(sort, monkeypatch):
     for own, run in zip(together, alone, strict=True):
         assert np.array_equal(own, run.physics.values)
     assert not np.array_equal(*together)
-    right = SurfaceBatch.ratios
-    monkeypatch.setattr(SurfaceBatch, "ratios", lambda batch, forces: 1.02 * right(batch, forces))
+    right = Actuators.turn
+    monkeypatch.setattr(Actuators, "turn", lambda own, closing, d: right(own, np.multiply(closing, 1.02, out=closing), d))
     assert not driven(vehicle, "held", "bump:height=0.08", 0.2).agrees  # as the damper's velocity is measured
 
 

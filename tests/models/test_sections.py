@@ -7,6 +7,10 @@ import re
 
 import pytest
 
+from models.characteristics.adjustable_range import ActuatorSection
+from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
+from models.characteristics.ratio_table import RatioSection
+from models.characteristics.stops import StopSection
 from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, Key, Listed, Section, keys, read, required
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
@@ -19,10 +23,6 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
 from models.roads.sinusoids import Multisine
-from models.parts.stop import StopSection
-from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
-from models.parts.damper_section import ActuatorSection
-from models.characteristics.ratio_table import RatioSection
 from models.vehicle.controllers import ControllerEntry, ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, Limits, LimitsSection
 from models.vehicle.payload import PayloadSection

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from models.characteristics.stops import Stop
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
-from models.parts.stop import Stop
 from models.vehicle.limits_and_implementation import Limits, read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle

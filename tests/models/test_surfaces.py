@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from models.roads.iso8608 import Iso8608
-from models.roads.road import Bump
 from models.characteristics.curve import ForceCurve
 from models.characteristics.ratio_table import RatioTable
 from models.characteristics.surface import surface_of
+from models.roads.iso8608 import Iso8608
+from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.sampled_response import taylor4
 from sim.physics.step_derivative import step_derivative

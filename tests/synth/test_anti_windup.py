@@ -8,9 +8,9 @@ import pytest
 
 from models.laws.anti_windup import anti_windup_gain
 from models.laws.linear import LinearLaw
+from models.parts.damper_range import range_of
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump, RoadInput
-from models.parts.damper_range import range_of
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.inspect.__main__ import main as inspect

@@ -45,10 +45,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
-from models.parts.part import SIDES
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.linear.frequency_response import leaps_by_step, sampled_states, stepwise_frequency_response

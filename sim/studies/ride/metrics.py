@@ -36,10 +36,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
-from models.parts.part import SIDES
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
 from sim.response.jumps import Jumps

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.printed import GAP, wrapped
 from models.document.document import Table
 from models.document.field import Field, json_object
 from models.document.text import BEST, CHANGE, names_text, table_lines
-from models.parts.stop import SIDES
-from models.parts.part import SIDES
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response

@@ -40,10 +40,10 @@ from typing import Any
 import numpy as np
 import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
 
+from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import percent
 from models.roads.spectrum import Spectrum, longest_panel, sources
-from models.characteristics.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import Elements, elements
@@ -268,7 +268,7 @@ def _with_remainder(
     vehicle: Vehicle, line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float
 ) -> Equivalent:
     """Adds the remainders of the curves of a vehicle, if their iteration converges."""
-    pulls = replace(elements(vehicle, vehicle.linear_model), curves=line.curves)
+    pulls = replace(elements(vehicle), curves=line.curves)
     cut = continuous(line.vehicle, controller)
     poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))

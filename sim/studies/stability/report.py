@@ -10,7 +10,7 @@ from models.document.document import NOTE, Document, Statement, Table, apart, no
 from models.document.field import Field
 from models.document.reading import Pivot
 from models.document.text import HANG, names_text
-from models.parts.fitted_curves import lines_at_rest
+from models.parts.lines import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge

@@ -13,7 +13,7 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear, squarable
 from sim.linear.sampled_response import sampled_responses
-from sim.linear.switched_response import switched_response
+from sim.linear.stepped import stepped_responses
 from sim.physics.run_blocks import runs_at_once
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
@@ -56,12 +56,28 @@ def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
     return RoadWithLoads(bump, loads) if loads else bump
 
 
-def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
-    inputs = [RoadInput(vehicle, road, time) for road in roads]
-    if is_linear(vehicle, controller):
-        return sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
-    return switched_response(controller, inputs)
+def analysed(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
+    """Returns the responses of the analysis with its curves and adjustable dampers: of each controller over its road.
+
+    Responses that are not linear are computed side by side, and so are those of one linear controller.
+    """
+    inputs, responses = [RoadInput(vehicle, road, time) for road in roads], dict[int, Response]()
+    alike = dict[int | None, list[int]]()
+    for i, controller in enumerate(controllers):
+        alike.setdefault(id(controller) if has_linear_response(vehicle, controller) else None, []).append(i)
+    for key, some in alike.items():
+        met, one = [inputs[i] for i in some], controllers[some[0]]
+        if key is None:
+            runs = stepped_responses([controllers[i] for i in some], met)
+        else:
+            runs = sampled_responses(LoopModel(vehicle, one, met[0].timestep), met)
+        responses |= {i: runs.run(k) for k, i in enumerate(some)}
+    return [responses[i] for i in range(len(inputs))]
+
+
+def has_linear_response(vehicle: Vehicle, controller: Controller) -> bool:
+    """Returns True if the analysis is linear in the road: without curves and without adjustable dampers that switch."""
+    return not vehicle.is_curved and is_linear(vehicle, controller)
 
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:

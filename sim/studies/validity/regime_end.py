@@ -8,20 +8,29 @@ With adjustable dampers it is the end of the analysis that has them: dampers lea
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.roads.load import Load
-from models.roads.road import HIGHEST, Bump, RoadInput
+from models.roads.road import HIGHEST, Bump, Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.response.regime import END_NAMES
 from sim.response.response import Response
 from sim.runs.agreement import first_loose
-from sim.studies.validity.map_runs import MapRun, analysed, driven, largest_difference, loaded, shares
+from sim.studies.validity.map_runs import (
+    AT_ONCE,
+    MapRun,
+    analysed,
+    driven,
+    has_linear_response,
+    largest_difference,
+    loaded,
+    shares,
+)
 from synth.controller.controller import Controller
 
 WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
@@ -79,9 +88,10 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     inputs = [RoadInput(vehicle, replace(bump, height=end.stays), time) for _, end in below]
     if not below:
         return ends
-    runs = simulate([controllers[i] for i, _ in below], inputs).response
+    some = [controllers[i] for i, _ in below]
+    runs, analyses = simulate(some, inputs).response, _analyses(vehicle, some, [road.road for road in inputs], time)
     for k, (i, end) in enumerate(below):
-        run, analysis = runs.run(k), analysed(vehicle, controllers[i], [inputs[k].road], time).run(0)
+        run, analysis = runs.run(k), analyses[k]
         until = first_loose(inputs[k], run)
         ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
     return ends
@@ -109,12 +119,11 @@ def enclosed(
         An end for each bump, or None if no allowed height has one.
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
-    for i, (controller, bump) in enumerate(zip(controllers, bumps, strict=True)):
-        response, used = _predicted(vehicle, controller, bump, loads, time)
+    for i, (response, used) in enumerate(_predicted(vehicle, controllers, bumps, loads, time)):
         if used.max() * HIGHEST >= FURTHEST:
             near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * NEAR >= used.max())
             ends[i] = RegimeEnd(float(1 / used.max()), END_NAMES[int(used.argmax())], near, 0.0, math.inf, "")
-            samples[i], tried[i] = _needed(vehicle, controller, response), []
+            samples[i], tried[i] = _needed(vehicle, controllers[i], response), []
     guess = {i: end.predicted for i, end in ends.items()}
     for _ in range(ROUNDS):
         todo = [i for i, end in ends.items() if _is_open(end, within)]
@@ -132,17 +141,49 @@ def enclosed(
 
 
 def _predicted(
-    vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...], time: Array
-) -> tuple[Response, Array]:
-    """Returns a response of the analysis, and the share of the way to each end per metre of height, shape (E,).
+    vehicle: Vehicle, controllers: Sequence[Controller], bumps: Sequence[Bump], loads: tuple[Load, ...], time: Array
+) -> "list[Predicted]":
+    """Returns the prediction of each controller over its bump. All searches take their next heights side by side."""
+    searches = [_search(vehicle, *both, loads) for both in zip(controllers, bumps, strict=True)]
+    results, roads = dict[int, Predicted](), {i: next(search) for i, search in enumerate(searches)}
+    while roads:
+        responses = _analyses(vehicle, [controllers[i] for i in roads], [*roads.values()], time)
+        for i, response in zip([*roads], responses, strict=True):
+            try:
+                roads[i] = searches[i].send(response)
+            except StopIteration as end:
+                results[i] = end.value
+                del roads[i]
+    return [results[i] for i in range(len(searches))]
+
+
+def _analyses(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
+    """Returns the responses of the analysis: linear ones each alone, others side by side."""
+    linear = [i for i, one in enumerate(controllers) if has_linear_response(vehicle, one)]
+    others = [i for i in range(len(controllers)) if i not in linear]
+    chunks = [[i] for i in linear] + [others[k : k + AT_ONCE] for k in range(0, len(others), AT_ONCE)]
+    responses = dict[int, Response]()
+    for some in chunks:
+        responses |= zip(
+            some, analysed(vehicle, *([every[i] for i in some] for every in (controllers, roads)), time), strict=True
+        )
+    return [responses[i] for i in range(len(roads))]
+
+
+Predicted = tuple[Response, Array]  # a response, and the share of the way to each end per metre of height, shape (E,)
+
+
+def _search(
+    vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...]
+) -> Generator[Road, Response, Predicted]:
+    """Yields the roads of which it needs the response of the analysis, and returns the prediction.
 
     Curves make the analysis nonlinear, and a loop may lose its stability beyond some height. So with curves the lowest height is
     looked for at which the analysis reaches an end.
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:
-        road = loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
-        response = analysed(vehicle, controller, [road], time).run(0)
+        response = yield loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
         used = shares(vehicle, controller, response)
         share = float(used.max())
         if not (vehicle.is_curved and 0 < share < math.inf) or 1 / WITHIN < share < WITHIN:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from models.characteristics import LEAVES
 from models.common.arrays import Array
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, apart, notes
@@ -18,7 +19,6 @@ from models.document.picture import level
 from models.document.reading import write_rows
 from models.document.text import names_text
 from models.roads.road import Bump
-from models.characteristics import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End

@@ -29,11 +29,11 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from models.characteristics.curve import STRAIGHT, ForceCurve
+from models.characteristics.curve_reading import VELOCITY, curve_of
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
-from models.characteristics.curve import STRAIGHT, ForceCurve
-from models.characteristics.curve_reading import VELOCITY, curve_of
 
 TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
 

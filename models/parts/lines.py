@@ -2,16 +2,20 @@
 
 from collections.abc import Sequence
 
-from models.characteristics.curve_reading import DEFLECTION, VELOCITY, Argument
+from models.characteristics.curve_reading import Argument
 from models.common.printed import rough
 from models.kinds.kind import Suspension
 from models.parts.part import SuspensionPart
+from models.parts.registry import PARTS, part_class
 
 
 def curvable(suspensions: Sequence[Suspension]) -> dict[str, Argument]:
     """Returns the parameters that a curve can replace, each with the curve's argument."""
-    damping = {suspension.damping: VELOCITY for suspension in suspensions if suspension.damping}
-    return {suspension.stiffness: DEFLECTION for suspension in suspensions if suspension.stiffness} | damping
+    over = dict[str, Argument]()
+    for name in PARTS:
+        if (replaces := part_class(name).replaces) is not None:
+            over |= {parameter: replaces[1] for one in suspensions if (parameter := getattr(one, replaces[0]))}
+    return over
 
 
 def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:

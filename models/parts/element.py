@@ -1,0 +1,101 @@
+"""`[parts.NAME]` of a vehicle file: a force element beside the suspension's own spring and damper.
+
+Every part of the registry that is a section of a file can be such an element: its fields are its keys.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+from models.common.errors import InputError, alike, error_in, listing
+from models.common.schema import SI, Listed, Section, Text, keys, read
+from models.parts.part import Part, Straight
+from models.parts.registry import PARTS, part_class
+
+
+@dataclass(frozen=True)
+class Place(Section):
+    """Keys of every element."""
+
+    kind: Annotated[str, Text("name of the part")]
+    at: Annotated[tuple[str, ...], Listed("suspensions or axles with the element; default: all", Text())] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """Force element of some suspensions.
+
+    Attributes:
+        name: name of its section.
+        corners: names of its suspensions' corners; an empty name for a single suspension.
+        part: the part, in its own travel.
+    """
+
+    name: str
+    corners: tuple[str, ...]
+    part: Part
+
+    @property
+    def straight(self) -> "Element":
+        """The element with its line alone; itself if it is a contact."""
+        return self if self.part.contact else replace(self, part=Straight(self.part.line))
+
+    @property
+    def numbers(self) -> dict[str, tuple[float, SI]]:
+        """Numbers that a campaign may sample, each with its unit and range, by `NAME.key`."""
+        section = type(self.part) if isinstance(self.part, Section) else Section
+        own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
+        return {
+            f"{self.name}.{key}": (value, one) for key, one in own.items() if isinstance(value := getattr(self.part, key), float)
+        }
+
+    def sampled(self, values: Mapping[str, float]) -> "Element":
+        """Returns the element with other numbers, by `NAME.key`; itself if none is its own."""
+        own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
+        return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
+
+
+def element_kinds() -> dict[str, type[Section]]:
+    """Returns the parts that a section can be, by name."""
+    return {name: part_class(name) for name in PARTS if issubclass(part_class(name), Section)}
+
+
+def read_elements(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Element, ...]:
+    """Reads `[parts]`.
+
+    Args:
+        corners: names of the suspensions' corners.
+
+    Raises:
+        InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.
+    """
+    kinds, elements = element_kinds(), list[Element]()
+    for name, given in section.items():
+        where = f"[parts.{name}]"
+        if not isinstance(given, Mapping):
+            raise InputError(f"[parts] {name} is not a section; write [parts.NAME] with kind = ..., one of {listing(kinds)}")
+        common = {
+            key: [one] if key == "at" and isinstance(one := given[key], str) else given[key]
+            for key in keys(Place)
+            if key in given
+        }
+        place = read(where, Place, common)
+        if place.kind not in kinds:
+            raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")
+        with error_in(where):
+            some = _places(place.at, corners)
+        part: Any = read(where, kinds[place.kind], {key: one for key, one in given.items() if key not in keys(Place)})
+        elements.append(Element(name, some, part))
+    return tuple(elements)
+
+
+def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
+    """Returns the corners of some suspensions or axles; all of them by default."""
+    chosen = list[str]()
+    for place in at:
+        here = [corner for corner in corners if f"{corner}_".startswith(f"{place}_")]
+        if not here:
+            known = f"it has {listing(corners)}" if any(corners) else "omit at, as there is only one suspension"
+            raise InputError(f"at = {place!r} is no suspension of this vehicle; {known}")
+        chosen += here
+    return tuple(dict.fromkeys(chosen)) if at else tuple(corners)

@@ -1,0 +1,287 @@
+"""Response of a vehicle that is linear except for the forces of its suspensions, in steps of RK4, as MuJoCo integrates.
+
+With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` and E their effect on the states,
+
+    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u),    x = xi + J z_r,
+
+with d and v linear in x. Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step
+are products with matrices that are known beforehand, and only f is evaluated stage by stage.
+
+Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
+every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its
+force. No limit of travel or force acts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import error_in
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import kept_signals
+from models.laws.anti_windup import anti_windup_gain
+from models.laws.linear import LinearLaw
+from models.parts.damper_range import range_of
+from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.suspension_forces import SuspensionForces
+from models.vehicle.vehicle import Vehicle
+from sim.linear.dampers import damper_signals, stretching, turns
+from sim.linear.linear_motion import lag_rates, suspensions_of
+from sim.linear.sampled_response import forces_ahead, response_of
+from sim.response.recursion import SHARES, WEIGHTS
+from sim.response.response import Response
+from synth.controller.controller import Controller
+
+
+class Stepper:
+    """Steps of N runs of a vehicle with m inputs, over which inputs, road and loads are held.
+
+    Attributes:
+        model: linear model of n states, the last of which are the inputs that lag. Coefficients of dampers have no effect in it.
+    """
+
+    def __init__(self, vehicle: Vehicle, timestep: float) -> None:
+        """Prepares the steps; `timestep` in s."""
+        self._vehicle = vehicle
+        self.model, acting, at_once = _with_lags(vehicle)
+        self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
+        along, model = suspensions_of(vehicle, self._forces.acts), self.model
+        (n, m), s = model.B.shape, along.shown.shape[1]
+        self._n, self._s, self.shown, felt = n, s, along.shown, bool(vehicle.ratio_tables or vehicle.dampers)
+        self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
+        rows = np.pad(np.vstack([along.travel, along.rate]), ((0, 0), (0, n - along.travel.shape[1])))
+        of_road = np.vstack([along.travel_of_road, along.rate_of_road]) + rows @ model.jump
+        of_inputs = np.zeros((2 * s, m))
+        if felt:
+            rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
+            of_road = np.pad(of_road, ((0, m), (0, 0)))
+        self._acting, self._at_once = acting.T, at_once.T
+        self._rows, self._of_road, self._of_inputs = rows.T, of_road.T, of_inputs.T
+        # All that a step has, by what it depends on: states, inputs, road, loads, and the forces of the four stages.
+        held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
+        forces = n + held.shape[1]
+        start = total = np.eye(n, forces + 4 * s)
+        rate, stages = np.zeros_like(start), list[Array]()
+        argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * s))])
+        for i, (share, weight) in enumerate(zip(SHARES, WEIGHTS, strict=True)):
+            at = start + share * timestep * rate
+            stages.append(rows @ at + argument)
+            rate = model.A @ at
+            rate[:, n:forces] += held
+            rate[: len(along.push), forces + i * s : forces + (i + 1) * s] += along.push
+            total = total + weight * timestep * rate
+        every = np.vstack([total, *stages]).T
+        self._of_states, self.by_inputs, self._outside = (
+            np.ascontiguousarray(every[begin:end]) for begin, end in ((0, n), (n, n + m), (n + m, forces))
+        )
+        self._pushed = np.ascontiguousarray(total[:, forces:].T)
+        self._later = [np.ascontiguousarray(one[:, forces : forces + i * s].T) for i, one in enumerate(stages)]
+        self._stages = [slice(n + i * len(rows), n + (i + 1) * len(rows)) for i in range(len(stages))]
+
+    def outside(self, inputs: Sequence[RoadInput]) -> Array:
+        """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
+        wheels, pushed = inputs[0].midway.shape[1], any(road.pushed for road in inputs)
+        parts = ("midway", "held") if pushed else ("midway",)
+        held = np.stack([np.hstack([getattr(road, name) for name in parts]) for road in inputs], axis=1)
+        return held @ (self._outside if pushed else self._outside[:wheels])
+
+    def __call__(self, xi: Array, added: Array) -> Array:
+        """Returns xi after a step, shape (N, n).
+
+        Args:
+            xi: xi before the step, shape (N, n).
+            added: what road, loads and inputs add, shape (N, k), see `outside` and `by_inputs`.
+        """
+        known, s, forces, still = xi.dot(self._of_states), self._s, self._forces, self._still
+        known += added
+        pulls = np.empty((len(xi), 4 * s))
+        for i, (stage, later) in enumerate(zip(self._stages, self._later, strict=True)):
+            y = known[:, stage]
+            if i:
+                y = y + pulls[:, : i * s].dot(later)
+            pulls[:, i * s : (i + 1) * s] = forces(y[:, :s], y[:, s : 2 * s], y[:, 2 * s :] if still is None else still)
+        return known[:, : self._n] + pulls.dot(self._pushed)
+
+    def pulls(self, xi: Array, heights: Array, inputs: Array) -> Array:
+        """Returns the forces of the suspensions [N], shape (..., N, s).
+
+        Args:
+            xi: shape (..., N, n).
+            heights: road heights [m], shape (..., N, r).
+            inputs: requested forces, or coefficients of dampers, shape (..., N, m).
+        """
+        return self._pull(xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs)
+
+    def travels(self, xi: Array, heights: Array) -> Array:
+        """Returns the deflections of the suspensions [m], shape (..., s); arguments as for `pulls`."""
+        return (xi @ self._rows + heights @ self._of_road)[..., : self._s]
+
+    def response(self, road: RoadInput, xi: Array, inputs: Array, missing: Array) -> Array:
+        """Returns all signals of a run, shape (T, S).
+
+        Args:
+            xi, inputs: states and held inputs at the samples, shapes (T, n) and (T, m).
+            missing: forces that adjustable dampers omit [N], shape (T, m) or, without such dampers, (T, 0).
+        """
+        vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
+        beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None])[:, 0] @ self.shown.T
+        if road.pushed:
+            beyond = beyond + road.in_signals @ model.Dh.T
+        if vehicle.dampers:
+            coefficients = xi @ self._acting + inputs @ self._at_once
+            speeds = x[:, : len(vehicle.linear_model.states)] @ stretching(vehicle).T
+            speeds = speeds * turns(vehicle, self.travels(xi, road.heights))
+            beside = damper_signals(vehicle, coefficients, missing)
+            for one in vehicle.adjustable:
+                j = vehicle.linear_model.inputs.index(one.force)
+                beside[one.force] = -coefficients[:, j] * one.shape(speeds[:, j])
+        response = response_of(model, road, x, inputs, beyond, beside)
+        for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():  # which may have the forces of dampers
+            total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
+            response.values[:, response.names.index(name)] = total
+        return response.values
+
+    def _pull(self, y: Array) -> Array:
+        s = self._s
+        inputs = y[..., 2 * s :] if self._still is None else self._still
+        return self._forces(y[..., :s], y[..., s : 2 * s], inputs)
+
+
+def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
+    """Returns the linear model behind the lags of actuators and valves, and the gains from its states and inputs to what acts.
+
+    Their shapes are (m, n) and (m, m).
+    """
+    model, rates = vehicle.linear_model, lag_rates(vehicle)
+    lags, pushing = np.flatnonzero(rates), ~np.isin(model.inputs, list(vehicle.dampers))
+    (n, m), at_once = model.B.shape, np.diag(rates == 0).astype(float)
+    acting, more = np.hstack([np.zeros((m, n)), np.eye(m)[:, lags]]), len(lags)
+    B, D = model.B * pushing, model.D * pushing
+    behind = replace(
+        model,
+        A=np.block([[model.A, B[:, lags]], [np.zeros((more, n)), -np.diag(rates[lags])]]),
+        B=np.vstack([B @ at_once, np.diag(rates)[lags]]),
+        C=np.hstack([model.C, D[:, lags]]),
+        D=D @ at_once,
+        **{name: np.pad(getattr(model, name), ((0, more), (0, 0))) for name in ("Bw", "Br", "Bl", "Bt")},
+        states=(*model.states, *(f"lagged_{model.inputs[i]}" for i in lags)),
+    )
+    return behind, acting, at_once
+
+
+class _Laws:
+    """Laws of N runs side by side, which measure at their samples."""
+
+    def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
+        """Prepares the laws for a period of so many timesteps."""
+        vehicle, h, model = inputs[0].vehicle, inputs[0].timestep, steps.model
+        laws = dict[int, LinearLaw]()
+        for one in controllers:
+            if id(one) not in laws:
+                with error_in(f"controller {one.name!r}:"):
+                    laws[id(one)] = one.law.sampled(period * h)
+        (n, m), self.states = model.B.shape, max(law.states for law in laws.values())
+        self._forces, self.feels = m, False
+        stretch = np.pad(stretching(vehicle), ((0, 0), (0, n - len(vehicle.linear_model.states)))) if vehicle.dampers else None
+        rows, readings, windup = dict[int, Array](), dict[int, Array](), dict[int, Array]()
+        for one in controllers:
+            if id(one) in rows:
+                continue
+            law, measured = laws[id(one)], [model.outputs.index(name) for name in one.measured]
+            k, idle = law.states, self.states - law.states
+            C, of_road = model.C[measured], model.C[measured] @ model.jump + model.Cr[measured]
+            seen = [C, model.D[measured], steps.shown[measured], of_road, model.Dh[measured]]
+            self.feels |= bool(steps.shown[measured].any())
+            own = np.vstack([law.D, law.B])
+            answer = np.hstack([own @ np.hstack(seen[:3]), np.vstack([law.C, law.A]), np.zeros((m + k, idle))])
+            known = own @ np.hstack(seen[3:])
+            answer, known = np.pad(answer, ((0, idle), (0, 0))), np.pad(known, ((0, idle), (0, 0)))
+            if stretch is not None:
+                answer = np.vstack([answer, np.pad(-stretch, ((0, 0), (0, answer.shape[1] - n)))])
+                known = np.vstack([known, np.pad(-stretch @ model.jump, ((0, 0), (0, model.Dh.shape[1])))])
+            rows[id(one)], readings[id(one)] = answer.T, known.T
+            windup[id(one)] = np.pad(anti_windup_gain(law), ((0, idle), (0, 0))).T
+        self._answers = np.ascontiguousarray(np.stack([rows[id(one)] for one in controllers]))
+        self.windup = np.stack([windup[id(one)] for one in controllers]) if any(one.any() for one in windup.values()) else None
+        self.idle = not (self.states or any(one.law.acts or one.preview is not None for one in controllers))
+        self._one = self._answers[0] if len(laws) == 1 else None
+        known = [np.hstack([road.heights, road.in_readings])[::period] for road in inputs]
+        self._known = np.stack([own @ readings[id(one)] for own, one in zip(known, controllers, strict=True)], axis=1)
+        for i, (one, road) in enumerate(zip(controllers, inputs, strict=True)):
+            if one.preview is not None:
+                self._known[:, i, :m] += forces_ahead(one.preview, road, period)[::period]
+
+    def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, kept: Array) -> tuple[Array, Array, Array]:
+        """Returns requested forces, states after the sample, and closing velocities, shapes (N, m), (N, k), and (N, m) or (N, 0).
+
+        Args:
+            sample: number of the sample.
+            xi, inputs, pulls: as of the vehicle, while the inputs act that acted before.
+            kept: states of the laws, shape (N, k).
+        """
+        known = np.concatenate([xi, inputs, pulls, kept], axis=1)
+        answer = (known @ self._one if self._one is not None else np.vecmat(known, self._answers)) + self._known[sample]
+        m, k = self._forces, self.states
+        return answer[:, :m], answer[:, m : m + k], answer[:, m + k :]
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; the run says so
+def stepped_responses(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> Response:
+    """Returns the responses of sampled loops from rest, values of shape (N, T, S).
+
+    Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample; of laws with fewer
+    states than others the last ones are 0.
+
+    Args:
+        controllers: N linear controllers, whose measurements are taken without noise.
+        inputs: N roads under one vehicle, at the same sample times.
+    """
+    vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep
+    how, of = vehicle.implementation, range_of([vehicle.adjustable], vehicle.linear_model.inputs) if vehicle.dampers else None
+    period = steps_per_sample(how, h)
+    steps, late = Stepper(vehicle, h), round(how.delay * period)
+    laws = _Laws(controllers, inputs, steps, period)
+    (n, m), count, samples = steps.model.B.shape, len(inputs), len(time)
+    heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
+    states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
+    kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
+    xi, kept, now, waiting = np.zeros((count, n)), np.zeros((count, laws.states)), np.zeros((count, m)), dict[int, tuple]()
+    lost, by_inputs, unfelt = np.zeros((count, missing.shape[2])), None, np.zeros((count, steps.shown.shape[1]))
+    for k in range(samples):
+        states[k] = xi
+        if not laws.idle:
+            if k % period == 0:  # a reading contains the forces that acted until then
+                kept_along[k // period] = kept
+                pulls = steps.pulls(xi, heights[k], now) if laws.feels else unfelt
+                requested, kept, closing = laws(k // period, xi, now, pulls, kept)
+                waiting[k + late] = (requested, lost)
+                if of is not None:
+                    closing = (closing + of.at_rest) * turns(vehicle, steps.travels(xi, heights[k]))
+                    if laws.windup is not None:
+                        kept = kept + np.vecmat(of.clipped_off(requested, closing), laws.windup)
+                    waiting[k + late] = np.split(of.commands(np.concatenate([requested, closing], axis=1)), 2, axis=1)
+            if k in waiting:
+                now, lost = waiting.pop(k)
+                by_inputs = now @ steps.by_inputs
+            given[k], missing[k] = now, lost
+        xi = steps(xi, added[k] if by_inputs is None else added[k] + by_inputs)
+    runs = [steps.response(road, *(one[:, i] for one in (states, given, missing))) for i, road in enumerate(inputs)]
+    response = Response(time, vehicle.kind.signals, np.stack(runs))
+    if not laws.states:
+        return response
+    factors = np.array([one.law.of_state(period * h) for one in controllers])[:, None, None]
+    kept = factors * np.moveaxis(kept_along, 0, 1)[:, np.arange(samples) // period]
+    return response.beside(kept_signals(range(1, laws.states + 1)), kept)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def driven_response(forces: Array, road: RoadInput) -> Response:
+    """Returns the response from rest to forces that are requested at every sample [N], shape (T, m)."""
+    vehicle, steps = road.vehicle, Stepper(road.vehicle, road.timestep)
+    added, states = steps.outside([road])[:, 0] + forces @ steps.by_inputs, np.zeros((len(road.time), len(steps.model.A)))
+    for k in range(len(states) - 1):
+        states[k + 1] = steps(states[None, k], added[None, k])[0]
+    return Response(road.time, vehicle.kind.signals, steps.response(road, states, forces, np.zeros_like(forces)))

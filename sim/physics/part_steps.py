@@ -1,0 +1,278 @@
+"""Steps of MuJoCo for vehicles with parts that MuJoCo has no element for.
+
+`Batch` runs no callbacks in Python. So each stage of RK4 is evaluated here: the parts give their pulls by the present deflections
+and velocities of the suspensions, and MuJoCo gives the accelerations under these pulls. One motor on the tendon of each such
+suspension pulls. The sum of the stages is that of `mj_RungeKutta`. All other forces are MuJoCo's.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import copy
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from models.common.arrays import Array
+from models.parts.native import MOTOR
+from models.vehicle.mjcf import FITTED
+from sim.response.recursion import SHARES, WEIGHTS
+
+AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
+AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
+SUMMED = np.reshape(WEIGHTS, (-1, 1, 1))
+UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls; large, so that rounding is small
+NEARBY = 1e-5  # s, along the present velocities, for how levers change: the error is its square
+
+
+class Pulls(Protocol):
+    """Parts on s suspensions of N runs.
+
+    Attributes:
+        states: number k of the parts' own states.
+        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
+    """
+
+    states: int
+    inertance: Array | None
+
+    def __call__(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
+        """Returns the forces that pull each suspension together [N], without inertial parts, shape (N, s).
+
+        Args:
+            d, v: deflections [m] and velocities [m/s] of the suspensions, shape (N, s).
+            inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
+                [N s/m], shape (N, m).
+            z: the parts' own states, shape (N, k).
+        """
+        ...
+
+    def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
+        """Returns the rates of the parts' own states, shape (N, k); arguments as for the forces."""
+        ...
+
+
+class PartBatch(Batch):
+    """Batch of N vehicles with parts on the same suspensions.
+
+    Attributes:
+        z: the parts' own states, 0 at first, shape (N, k).
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        tendons: Sequence[str],
+        pulls: Pulls,
+        count: int,
+        models: Sequence[mujoco.MjModel] = (),
+    ) -> None:
+        """Prepares N runs.
+
+        Args:
+            tendons: tendons of the s suspensions. The pulls act where the model has a motor on one.
+            models: the model of each run, or none if all share one.
+        """
+        super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensors of the one before
+        if models:
+            self.set_models(models)
+        # The later stages of a step are evaluated apart, so that the sensors stay those of its beginning, as after `mj_step`.
+        stages = Batch(model, count, 1)
+        silent = {id(one): copy.copy(one) for one in models or [model]}
+        for one in silent.values():
+            one.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        stages.set_models([silent[id(one)] for one in models] if models else silent[id(model)])
+        self._here, self._there = _Bound(self), _Bound(stages)
+        self._pulls, self.z, self._h = pulls, np.zeros((count, pulls.states)), float(model.opt.timestep)
+        motors = {model.actuator(i).name: i for i in range(model.nu)}
+        names = [f"{FITTED}{MOTOR}{name}" for name in tendons]
+        pulled = [i for i, name in enumerate(names) if name in motors]
+        self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
+        self._inputs = _Inputs(model, models or [model])
+        self._lengths = _Lengths(model, [int(model.tendon(name).id) for name in tendons], models or [model])
+        self._inertance = None if pulls.inertance is None else pulls.inertance[:, self._pulled]
+        self._response: Array | None = None
+        ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # of the parts of a state: qpos, qvel, act, z
+        self._velocities, self._motion, self._own = slice(ends[0], ends[1]), slice(0, ends[2]), slice(ends[2], ends[3])
+        self._begin, self._x, self._rates = (np.zeros((*more, count, ends[3])) for more in ((), (), (len(SHARES),)))
+        self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]  # views
+
+    def forward(self, ids: Any = None, stage: int = AT_ACCELERATIONS) -> None:
+        """See `Batch.forward`."""
+        if stage > AT_VELOCITIES:
+            self._start()
+        else:
+            super().forward(ids, stage)
+
+    def step(self, ids: Any = None, nstep: int = 1, stage: int = 0) -> None:
+        """See `Batch.step`; one step of all runs."""
+        begin, x, rates = self._begin, self._x, self._rates
+        self._start()
+        self._there.batch.state[:] = self.state
+        for i in range(1, len(SHARES)):
+            np.multiply(rates[i - 1], SHARES[i] * self._h, out=x)
+            x += begin
+            self._there.motion[:] = x[:, self._motion]
+            self._evaluate(self._there, x, i)
+        rates *= SUMMED
+        np.add.reduce(rates, axis=0, out=x)
+        x *= self._h
+        x += begin
+        self._here.motion[:] = x[:, self._motion]
+        self.z[:] = x[:, self._own]
+        self.state[:, 0] += self._h  # the time
+        if stage:
+            self.forward(stage=stage)
+
+    def deflections(self) -> Array:
+        """Returns the present deflections of the suspensions [m], shape (N, s)."""
+        self._there.batch.state[:] = self.state
+        return self._lengths(self._there, self._there.motion)[0]
+
+    def _start(self) -> None:
+        """Evaluates the present state, with its sensors."""
+        self._begin[:, self._motion], self._begin[:, self._own] = self._here.motion, self.z
+        self._evaluate(self._here, self._begin, 0)
+
+    def _evaluate(self, bound: "_Bound", x: Array, i: int) -> None:
+        """Sets the motors of a batch for its present state, which is x without the parts' own states, and the rates of stage i.
+
+        Args:
+            x: positions, velocities, activations and the parts' own states, shape (N, nq + nv + na + k).
+        """
+        d, v = self._lengths(bound, x)
+        inputs, z = self._inputs(bound), x[:, self._own]
+        pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
+        bound.controls[:, self._motors] = pulls[:, self._pulled]
+        Batch.forward(bound.batch)
+        if self._inertance is not None:
+            self._accelerate(bound, self._inertance)
+        for rate, now in zip(self._parts[i], (x[:, self._velocities], bound.qacc, bound.act_dot, own), strict=True):
+            rate[:] = now
+
+    def _accelerate(self, bound: "_Bound", b: Array) -> None:
+        """Evaluates the accelerations again, with the inertial parts, whose forces b l'' depend on these.
+
+        Without them l'' is a; a pull p of theirs makes it a + R p. So p = b (a + R p).
+        """
+        controls, qacc = bound.controls, np.array(bound.qacc)
+        J, turning = self._lengths.jacobian(bound)
+        pulls, free = np.array(controls[:, self._motors]), np.matvec(J, qacc)[:, self._pulled]
+        if self._response is None or not self._lengths.linear:
+            columns = []
+            for motor in np.arange(self.model.nu)[self._motors]:
+                controls[:, motor] += UNIT
+                Batch.forward(bound.batch)
+                columns.append((np.matvec(J, bound.qacc)[:, self._pulled] - free) / UNIT)
+                controls[:, self._motors] = pulls
+            self._response = np.stack(columns, axis=-1)
+        free += turning[:, self._pulled]
+        held = np.eye(b.shape[1]) - b[..., None] * self._response
+        controls[:, self._motors] = pulls + np.linalg.solve(held, (b * free)[..., None])[..., 0]
+        Batch.forward(bound.batch)
+
+
+def _span(indices: Sequence[int]) -> slice | Array:
+    """Returns consecutive indices as a slice, which numpy reads and writes faster."""
+    first, count = indices[0], len(indices)
+    return slice(first, first + count) if list(indices) == [*range(first, first + count)] else np.array(indices)
+
+
+class _Bound:
+    """A batch with its state, controls and what it evaluates, as views."""
+
+    def __init__(self, batch: Batch) -> None:
+        model = batch.model
+        self.batch = batch
+        self.motion = batch.state[:, 1 : 1 + model.nq + model.nv + model.na]  # qpos, qvel and act come after the time
+        self.controls, self.activations = batch.bind("ctrl"), batch.bind("act")
+        self.qacc, self.act_dot = batch.bind("qacc"), batch.bind("act_dot")  # only what was bound before is filled
+        self.lengths, self.speeds, self.levers = (batch.bind(name) for name in ("ten_length", "ten_velocity", "ten_J"))
+
+
+class _Inputs:
+    """The acting inputs of N runs, of which MuJoCo clips controls and forces."""
+
+    def __init__(self, model: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
+        own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED)]
+        self._own, adr = slice(0, len(own)), model.actuator_actadr[own]
+        self._lagging, self._states = adr >= 0, adr[adr >= 0]
+        self._controls, self._forces = (
+            self._ranges(
+                getattr(model, f"actuator_{name}limited")[own], [getattr(one, f"actuator_{name}range")[own] for one in models]
+            )
+            for name in ("ctrl", "force")
+        )
+
+    def __call__(self, bound: _Bound) -> Array:
+        """Returns the inputs that act, shape (N, m)."""
+        u = bound.controls[:, self._own]
+        if self._controls is not None:
+            u = np.minimum(np.maximum(u, self._controls[0]), self._controls[1])
+        if len(self._states):
+            u = np.array(u)
+            u[:, self._lagging] = bound.activations[:, self._states]
+        return u if self._forces is None else np.minimum(np.maximum(u, self._forces[0]), self._forces[1])
+
+    @staticmethod
+    def _ranges(limited: Array, ranges: Sequence[Array]) -> tuple[Array, Array] | None:
+        """Returns the least and the largest values, shape (N, m) or (1, m); None if nothing is limited."""
+        low, high = np.where(limited[:, None], ranges, [-np.inf, np.inf]).transpose(2, 0, 1)
+        return (low, high) if limited.any() else None
+
+
+class _Lengths:
+    """Lengths of s tendons.
+
+    Attributes:
+        linear: True if they are sums of positions, and the masses are constant.
+    """
+
+    def __init__(self, model: mujoco.MjModel, tendons: Sequence[int], models: Sequence[mujoco.MjModel]) -> None:
+        self._tendons, self._velocities = tendons, slice(model.nq, model.nq + model.nv)
+        self._rest = np.array([one.tendon_length0[tendons] for one in models])
+        rows, starts = model.ten_J_rownnz[tendons], model.ten_J_rowadr[tendons]
+        self._entries = np.concatenate([np.arange(start, start + count) for start, count in zip(starts, rows, strict=True)])
+        self._places = np.repeat(np.arange(len(tendons)), rows), model.ten_J_colind[self._entries]
+        wraps = [model.wrap_type[one : one + n] for one, n in zip(model.tendon_adr, model.tendon_num, strict=True)]
+        of_joints = all(np.all(wraps[i] == mujoco.mjtWrap.mjWRAP_JOINT) for i in tendons)
+        self.linear = of_joints and bool(np.all(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE))
+        if self.linear:
+            data = mujoco.MjData(model)
+            mujoco.mj_forward(model, data)
+            self._constant = self._dense(data.ten_J[None])[0]
+            zeros = np.zeros_like(self._constant)
+            self._both = np.block([[self._constant, zeros], [zeros, self._constant]])
+
+    def __call__(self, bound: _Bound, x: Array) -> tuple[Array, Array]:
+        """Returns deflections [m] and velocities [m/s] at the present state x of a batch, shapes (N, s)."""
+        if self.linear:
+            both, s = np.matvec(self._both, x[:, : self._velocities.stop]), len(self._tendons)
+            return both[:, :s], both[:, s:]
+        Batch.forward(bound.batch, stage=AT_VELOCITIES)
+        return bound.lengths[:, self._tendons] - self._rest, bound.speeds[:, self._tendons]
+
+    def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
+        """Returns the Jacobian J of the lengths, shape (N, s, nv) or (s, nv), and J' qvel [m/s2], shape (N, s).
+
+        J is that of the batch's last evaluation, which is at its present state. J' is a central difference.
+        """
+        if self.linear:
+            return self._constant, np.zeros((len(bound.qacc), len(self._tendons)))
+        J, x = self._dense(bound.levers), np.array(bound.motion)
+        speeds = []
+        for side in (NEARBY, -NEARBY):
+            bound.motion[:, : self._velocities.start] += side * x[:, self._velocities]
+            Batch.forward(bound.batch, stage=AT_VELOCITIES)
+            speeds.append(np.array(bound.speeds[:, self._tendons]))
+            bound.motion[:] = x
+        return J, (speeds[0] - speeds[1]) / (2 * NEARBY)
+
+    def _dense(self, levers: Array) -> Array:
+        """Returns the Jacobian of the tendons, shape (N, s, nv), from MuJoCo's sparse one, shape (N, nJten)."""
+        J = np.zeros((len(levers), len(self._tendons), self._velocities.stop - self._velocities.start))
+        J[:, *self._places] = levers[:, self._entries]
+        return J
