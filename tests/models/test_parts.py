@@ -455,29 +455,28 @@ def by_stages(vehicle: Vehicle) -> Vehicle:
 @every
 def test_native_forms_are_the_stages(kind, names, ratio):
     """At random states MuJoCo's accelerations are those of a model in which a motor pulls with what is beyond the lines."""
-    vehicle = car(kind, names, ratio)
-    if not any(one.part.native for one in vehicle.parts):
-        return
-    staged, rng = by_stages(vehicle), np.random.default_rng(4)
-    models = [build_model(one, 1e-3, drawn=False) for one in (vehicle, staged)]
-    forces, worst, most = SuspensionForces([staged], by_motor=True), 0.0, 0.0
-    tendons = [models[1].tendon(place.tendon).id for place in vehicle.kind.suspensions]
-    motors = [models[1].actuator(f"fitted_part_{place.tendon}").id for place in vehicle.kind.suspensions]
+    vehicle, rng, c = car(kind, names, ratio), np.random.default_rng(4), len(CORNERS[kind])
+    cars = (vehicle, by_stages(vehicle))
+    models = [build_model(one, 1e-3, drawn=False) for one in cars]
+    inputs = [vehicle.linear_model.inputs.index(f"control_force{end}") for end in CORNERS[kind]]
+    worst, most = 0.0, 0.0
     for _ in range(40):
-        state = 0.03 * rng.standard_normal(models[0].nq), 0.4 * rng.standard_normal(models[0].nv)
-        u = rng.uniform(-1.0, 1.0, len(vehicle.linear_model.inputs)) * 1000.0
+        q, rates, u = 0.03 * rng.standard_normal(models[0].nq), 0.4 * rng.standard_normal(models[0].nv), rng.uniform(-1e3, 1e3, c)
         found = []
-        for model in models:
-            data = mujoco.MjData(model)
-            data.qpos[:], data.qvel[:] = state
-            for i, name in enumerate(model.actuator(i).name for i in range(model.nu)):
-                input = re.sub(r"_\d+$", "", name.removeprefix("fitted_"))  # several actuators may be one damper
-                data.ctrl[i] = dict(zip(vehicle.linear_model.inputs, u, strict=True)).get(input, 0.0)
-            if model is models[1]:
-                mujoco.mj_fwdPosition(model, data)
-                mujoco.mj_fwdVelocity(model, data)
-                d, v = (data.ten_length - model.tendon_length0)[tendons], data.ten_velocity[tendons]
-                data.ctrl[motors] = forces(d[None], v[None], u[None])[0]
+        for one, model in zip(cars, models, strict=True):
+            data, names_of = mujoco.MjData(model), [model.actuator(i).name for i in range(model.nu)]
+            data.qpos[:], data.qvel[:] = q, rates
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            tendons = [model.tendon(place.tendon).id for place in vehicle.kind.suspensions]
+            d, v = (data.ten_length - model.tendon_length0)[tendons], data.ten_velocity[tendons]
+            pulls = SuspensionForces([one], by_motor=True)(d[None], v[None], u[None])[0]
+            for place, pull, i in zip(vehicle.kind.suspensions, pulls, inputs, strict=True):
+                for j, name in enumerate(names_of):
+                    if re.fullmatch(rf"(fitted_)?{place.force}(_\d+)?", name):  # several actuators may be one damper
+                        data.ctrl[j] = u[i]
+                    if name == f"fitted_part_{place.tendon}":
+                        data.ctrl[j] = pull
             mujoco.mj_forward(model, data)
             found.append(np.array(data.qacc))
         worst, most = max(worst, np.abs(found[0] - found[1]).max()), max(most, np.abs(found[0]).max())
