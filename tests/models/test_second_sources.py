@@ -30,6 +30,7 @@ from models.roads.road import Bump, Departure, Road, RoadInput, ScaledRoad
 from models.roads.sinusoids import Multisine, Sine, SineSweep
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import kinds, parse_vehicle, read_vehicle
+from tests.support.mechanism import CORNERS, Mechanism, axle
 
 CAR = read_vehicle("full_car").with_parameters(axle_distance_front=1.1, axle_distance_rear=1.7, track=1.5, centre_height=0.6)
 LATE, V, H = 2.8, 10.0, 0.02  # m from axle to axle, m/s, s
@@ -222,3 +223,41 @@ def test_everything_has_a_second_source():
 
     assert {*concrete(Road)} == {type(road) for road, _ in ROADS}
     assert {*concrete(Load)} == {type(load) for load, _ in LOADS}
+
+
+ALTERED = [
+    ("quarter_car", {}),
+    ("quarter_car", {"tyre_damping": 150.0}),
+    ("half_car", {}),
+    ("half_car", {"pitch_centre_height": 0.2, "anti_dive_front": 0.3, "tyre_damping_front": 150.0, "tyre_damping_rear": 90.0}),
+    ("full_car", {}),
+    ("full_car", {"anti_roll_stiffness_front": 2e4, "track_rear": 1.4, "tyre_damping_front": 150.0}),
+    ("full_car", {"roll_centre_height_front": 0.1, "roll_centre_height_rear": 0.15, "anti_roll_stiffness_rear": 1e4}),
+    ("full_car", {"roll_centre_height_front": -0.1, "roll_centre_height_rear": 0.2, "pitch_centre_height": 0.3}),
+]
+
+
+@pytest.mark.parametrize(("kind", "more"), ALTERED)
+def test_equations_follow_from_masses_and_lengths(kind, more):
+    """Equations of motion and linear model are those that complex steps of mass matrix, lengths and potential energy give."""
+    vehicle = read_vehicle(kind).with_parameters(**more)
+    p, model = vehicle.parameters, vehicle.linear_model
+    stiffness, damping = (
+        np.array([p[f"suspension_{name}{axle(end)}"] for end in CORNERS[kind]]) for name in ("stiffness", "damping")
+    )
+    own = Mechanism(vehicle, lambda d, v, u: stiffness * d + damping * v - u + 1e3 * np.tanh(30 * d) * v**2)
+    rng, n, c = np.random.default_rng(0), own.k + own.c, own.c
+    x, z_r, u, w = (rng.uniform(-far, far, (40, size)) for far, size in ((0.05, 2 * n), (0.03, c), (1e3, c), (1.0, c)))
+    wheels = "anti_dive_front" in more or "roll_centre_height_front" in more
+    push = rng.uniform(-1e3, 1e3, (40, own.k + c * wheels))
+    assert vehicle.kind.motion is not None
+    motion = vehicle.kind.motion(vehicle.kind.at_wheels(p))
+    loads = np.hstack([push if len(vehicle.kind.loads) else push[:, :0], w if model.tyres_damp else w[:, :0]])
+    found = motion.rate(x, z_r, u, lambda d, v: 1e3 * np.tanh(30 * d) * v**2, loads)
+    on = np.hstack([push, np.zeros((40, n - push.shape[1]))]) if len(vehicle.kind.loads) else 0.0
+    expected = own.rate(x, z_r, u, w, on)
+    assert np.abs(found - expected).max() < 1e-14 * np.abs(expected).max()
+    modes = np.eye(c) if kind != "full_car" else np.array([[1, 1, 1, 1], [-1, -1, 1, 1], [1, -1, 1, -1]]) / 4
+    for name, matrix in zip(("A", "B", "Bw", "Br"), own.linearised(modes), strict=True):
+        of = getattr(model, "A" if name == "Br" else name)  # Br is the difference of forces over heights
+        assert np.abs(getattr(model, name) - matrix).max() <= 1e-12 * np.abs(of).max(), name

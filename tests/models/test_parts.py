@@ -1,0 +1,483 @@
+"""Every part of a suspension, alone and in pairs, on all cars: one row for each, with its law written out from the file's numbers.
+
+A row has a part's sections of a vehicle file, and its law in the part's own travel. Through a motion ratio r over the travel d of
+a wheel, with own travel D(d) and static load W, a law f pulls the wheel with r f(D, r v) - (r / r(0) - 1) W.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Callable
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson, solve_ivp
+from scipy.interpolate import make_interp_spline
+
+from models.parts.part import Part
+from models.parts.ratio import AtRatio, Constant
+from models.parts.registry import PARTS, part_class
+from models.roads.road import Bump, RoadInput
+from models.vehicle.mjcf import build_model
+from models.vehicle.suspension_forces import SuspensionForces
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.physics.simulate import PhysicsRuns, simulate
+from sim.runs.prediction import predicted
+from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
+from synth.vehicle.designer import driver_of
+from tests.support.commands import attacks
+from tests.support.mechanism import CORNERS, G, Mechanism, axle, rk4
+
+EXACT, FAULT = 1e-12, 1.02
+SPRING, DAMPER = 25e3, 1800.0  # N/m, N s/m of suspensions without curves
+AXLES = {"": 1.0, "_front": 1.0, "_rear": 1.1}  # factors on forces and ratios, so that no axle stands in for another
+TRAVEL, RATIO = [-0.05, -0.02, 0.015, 0.045], [0.82, 0.72, 0.68, 0.6]
+RATIOS = ("at the wheel", "constant", "over travel")
+
+
+def straight(x, force) -> Callable:
+    """Lines between the points of a table, and on beyond them."""
+    x, force = np.array(x), np.array(force)
+    slopes = np.diff(force) / np.diff(x)
+
+    def of(at):
+        return np.interp(at, x, force) + slopes[0] * np.minimum(at - x[0], 0.0) + slopes[-1] * np.maximum(at - x[-1], 0.0)
+
+    return of
+
+
+def table(argument, x, force) -> str:
+    return f"{{ {argument} = {list(x)}, force = {np.array(force).tolist()} }}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A part that a vehicle file can have.
+
+    Attributes:
+        part: its name in `PARTS`.
+        slot: spring, damper, stop or input; of two rows with one slot a suspension has only one.
+        file: (factor on its forces, fault of one number) -> its value or keys in the file.
+        law: pull [N] by own extension, its rate and the input, (d, v, u) -> arrays.
+        d, v: knots of the law over extension and rate.
+        line: extensions and rates within which it follows its line, either way; None if it bends at rest.
+        known: forces from outside the project, as values of the file and points (d, v, u, pull).
+    """
+
+    part: str
+    slot: str
+    file: Callable[[float, float], str]
+    law: Callable
+    d: tuple[float, ...] = ()
+    v: tuple[float, ...] = ()
+    line: tuple[float, float] | None = None
+    known: tuple = ()
+
+
+# Values of the rows.
+SPRING_X, SPRING_F = [-0.03, -0.012, 0.0, 0.01, 0.025], np.array([-1150.0, -340.0, 0.0, 220.0, 700.0])
+DAMPER_V, DAMPER_F = [-0.5, -0.2, -0.06, 0.0, 0.08, 0.25, 0.5], np.array([-760.0, -320.0, -108.0, 0.0, 144.0, 390.0, 870.0])
+SOFT_V, SOFT_F = [-0.4, -0.1, 0.0, 0.1, 0.4], np.array([-210.0, -60.0, 0.0, 90.0, 310.0])
+HARD_V, HARD_F = [-0.3, -0.08, 0.0, 0.1, 0.4], np.array([-1200.0, -420.0, 0.0, 800.0, 2400.0])
+SURFACE_V, SURFACE_D = [-0.4, -0.15, 0.0, 0.2, 0.45], [-0.02, -0.006, 0.005, 0.018]  # a soft zone near rest, as of a bypass
+SURFACE_F = np.array(
+    [[-900, -560, -540, -800], [-410, -240, -260, -370], [0, 0, 0, 0], [620, 360, 330, 520], [1300, 900, 950, 1200.0]]
+)
+BUMP_X, BUMP_F, REBOUND_X, REBOUND_F = [0.0, 0.006, 0.015], [0.0, 400.0, 1900.0], [0.0, 0.005, 0.012], [0.0, 300.0, 1100.0]
+BUMP, REBOUND = 0.012, 0.01  # strokes [m]
+LOW, HIGH = 600.0, 4000.0
+
+
+def polynomial(d, v, u):
+    x, y = np.maximum(-d - BUMP, 0.0), np.maximum(d - REBOUND, 0.0)
+    return 2e5 * y - x * (4e4 + 2e6 * x + 3e8 * x**2)
+
+
+def tables(d, v, u):
+    x, y = np.maximum(-d - BUMP, 0.0), np.maximum(d - REBOUND, 0.0)
+    return straight(REBOUND_X, REBOUND_F)(y) - straight(BUMP_X, BUMP_F)(x)
+
+
+def dead_band(d, v, u):
+    x = np.sign(d) * np.maximum(np.abs(d) - REBOUND, 0.0)
+    return x * (8e4 + 2e8 * x**2)
+
+
+def surface(d, v, u):
+    flat = [np.interp(d, SURFACE_D, row) for row in SURFACE_F]  # its ends stay flat over deflection
+    i = np.clip(np.searchsorted(SURFACE_V, v) - 1, 0, len(SURFACE_V) - 2)
+    low, high = np.choose(i, flat[:-1]), np.choose(i, flat[1:])
+    at, to = np.array(SURFACE_V)[i], np.array(SURFACE_V)[i + 1]
+    return low + (high - low) * (v - at) / (to - at)
+
+
+SOFT, HARD, SLOPES = straight(SOFT_V, SOFT_F), straight(HARD_V, HARD_F), ((600.0 + 900.0) / 2, (5250.0 + 8000.0) / 2)
+
+
+def setting(v):
+    """h, by which the force of a damper with two curves changes per coefficient at rest."""
+    return (HARD(v) - SOFT(v)) / (SLOPES[1] - SLOPES[0])
+
+
+def limits(s, more) -> str:
+    return f"suspension_stroke = {{ bump = {BUMP}, rebound = {REBOUND} }}\nstop_stiffness = {more}"
+
+
+DYNA4 = [-1.056, -0.528, -0.396, -0.264, -0.132, -0.051, 0, 0.051, 0.132, 0.264, 0.396, 0.528, 1.056]
+OF_DYNA4 = [-971, -744, -685, -636, -557, -286, 0, 227, 902, 1581, 1862, 2178, 4054]
+ROWS = {
+    "stops": Row(
+        "stop", "stop", lambda s, e: limits(s, f"{{ bump = [{4e4 * s * e}, {2e6 * s}, {3e8 * s}], rebound = {2e5 * s} }}"),
+        polynomial, (-BUMP, REBOUND), line=(REBOUND, 9.0),
+        known=("suspension_stroke = 0.05\nstop_stiffness = [4e4, 2e6, 3e8]", [(-0.06, 0, 0, -900.0), (0.06, 0, 0, 900.0)]),
+    ),
+    "equal stops": Row(
+        "stop", "stop", lambda s, e: f"suspension_stroke = {REBOUND * e}\nstop_stiffness = [{8e4 * s}, 0.0, {2e8 * s}]",
+        dead_band, (-REBOUND, REBOUND), line=(REBOUND, 9.0),
+    ),
+    "stops with tables": Row(
+        "stop", "stop",
+        lambda s, e: limits(
+            s,
+            f"{{ bump = {table('compression', BUMP_X, s * np.array(BUMP_F) * [1, e, 1])}, "
+            f"rebound = {table('deflection', REBOUND_X, s * np.array(REBOUND_F))} }}",
+        ),
+        tables, (-BUMP - 0.006, -BUMP, REBOUND, REBOUND + 0.005), line=(REBOUND, 9.0),
+        known=(  # the rear axle of an SUV in DYNA4's format, from a public repository
+            "stop = { bump = { compression = [0.017, 0.027, 0.037, 0.067, 0.077, 0.0905], force = [0, 250, 550, 2100, 4700, 30e3] } }",
+            [(-0.072, 0, 0, -3400.0), (-0.0905, 0, 0, -30e3), (0.09, 0, 0, 0.0)],
+        ),
+    ),
+    "spring": Row(
+        "spring", "spring", lambda s, e: table("deflection", SPRING_X, s * SPRING_F * [1, e, 1, 1, 1]),
+        lambda d, v, u: straight(SPRING_X, SPRING_F)(d), (-0.012, 0.0, 0.01),
+        known=(  # the rear spring of the same car
+            "{ compression = [-0.0745, 0, 0.0905], force = [1898, 4756, 9323] }", [(0.0745, 0, 0, 2858.0), (-0.0905, 0, 0, -4567.0)]
+        ),
+    ),
+    "damper": Row(
+        "damper", "damper", lambda s, e: table("velocity", DAMPER_V, s * DAMPER_F * [1, e, 1, 1, 1, 1, 1]),
+        lambda d, v, u: straight(DAMPER_V, DAMPER_F)(v), (), (-0.2, -0.06, 0.08, 0.25), line=(9.0, 0.06),
+        known=(table("velocity", DYNA4, OF_DYNA4), [(0, v, 0, f) for v, f in zip(DYNA4, OF_DYNA4, strict=True)]),
+    ),
+    "surface damper": Row(
+        "surface damper", "damper",
+        lambda s, e: "{ velocity = %s, deflection = %s, force = %s }"
+        % (SURFACE_V, SURFACE_D, (s * SURFACE_F * np.array([[1, 1, 1, 1, e]]).T).tolist()),
+        surface, tuple(SURFACE_D), (-0.15, 0.0, 0.2),
+        known=(  # (1 + 6 d) c v is bilinear
+            "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-700, -1300], [0, 0], [700, 1300]] }",
+            [(0.025, 0.5, 0, 1150 * 0.5), (-0.04, -1.5, 0, -760 * 1.5), (0.2, 1.0, 0, 1300.0)],
+        ),
+    ),
+    "adjustable damper": Row(
+        "adjustable damper", "input", lambda s, e: f"c_min = {LOW * s}\nc_max = {HIGH * s * e}",
+        lambda d, v, u: u * v, line=(9.0, 9.0),
+        known=("c_min = 100.0\nc_max = 4000.0", [(0, 0.3, 3600.0, 1200.0), (0, -2.0, -300.0, -200.0)]),  # c v, 400 N s/m without a command
+    ),
+    "adjustable damper with curves": Row(
+        "adjustable damper", "input",
+        lambda s, e: f"c_min = {table('velocity', SOFT_V, s * SOFT_F)}\nc_max = {table('velocity', HARD_V, s * HARD_F * [e, 1, 1, 1, 1])}",
+        lambda d, v, u: u * setting(v), (), (-0.4, -0.3, -0.1, -0.08, 0.0, 0.1),
+    ),
+    "actuator": Row("actuator", "input", lambda s, e: "", lambda d, v, u: -u),
+}  # fmt: skip
+FOR_ALL = [name for name in ROWS if name != "actuator"]
+SINGLE = [((name,), ratio) for name in FOR_ALL for ratio in RATIOS] + [(("actuator",), "over travel")]
+
+
+def fit(*names) -> bool:
+    """True if one suspension can have all of these."""
+    slots = [ROWS[name].slot for name in names]
+    return len({*slots}) == len(slots) and not ("surface damper" in names and any("adjustable" in name for name in names))
+
+
+PAIRS = [(pair, ratio) for pair in itertools.combinations(ROWS, 2) if fit(*pair) for ratio in RATIOS if "actuator" not in pair]
+PAIRS += [((name, "actuator"), "over travel") for name in FOR_ALL if fit(name, "actuator")]
+IN_SUITE = [pair for i, pair in enumerate(PAIRS) if i % 9 == 4]
+CASES = [*SINGLE, *IN_SUITE, *attacks(pair for pair in PAIRS if pair not in IN_SUITE)]
+KINDS = tuple(CORNERS)
+every = pytest.mark.parametrize(("names", "ratio"), CASES, ids=lambda one: one if isinstance(one, str) else "+".join(one))
+all_cars = pytest.mark.parametrize("kind", KINDS)
+
+
+def ratios_at(ratio: str, end: str) -> tuple[list[float], list[float]]:
+    """Deflections and motion ratios at a corner; beyond them the ratio stays."""
+    r = {"at the wheel": [1.0], "constant": [0.7], "over travel": RATIO}[ratio]
+    return TRAVEL if len(r) > 1 else [0.0], [one * AXLES[axle(end)] if ratio != "at the wheel" else one for one in r]
+
+
+@cache
+def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault: float = 1.0) -> Vehicle:
+    """A car with these rows in every suspension, whose forces have a factor, and one of whose numbers has a fault."""
+    text = re.sub(r"(?m)^suspension_\w+ = .*\n", "", read_vehicle(kind).text.partition("[controllers")[0])
+    ends, sections = list(dict.fromkeys(map(axle, CORNERS[kind]))), dict[str, list[str]]()
+    by_slot = {ROWS[name].slot: ROWS[name] for name in names}
+    for end in ends:
+        s = size * AXLES[end]
+        for slot, name, usual in (("spring", "stiffness", SPRING), ("damper", "damping", DAMPER)):
+            value = by_slot[slot].file(s, fault) if slot in by_slot else repr(usual * s)
+            section = "curves" if slot in by_slot else "parameters"
+            sections.setdefault(section, []).append(f"suspension_{name}{end} = {value}")
+        if "stop" in by_slot:
+            sections[f"limits{end.replace('_', '.')}"] = [by_slot["stop"].file(s, fault)]
+        x, r = ratios_at(ratio, end)
+        if ratio == "constant":
+            sections.setdefault("parameters", []).append(f"motion_ratio{end} = {r[0]}")
+        if ratio == "over travel":
+            sections.setdefault("curves", []).append(f"motion_ratio{end} = {{ deflection = {x}, ratio = {r} }}")
+    for end in CORNERS[kind]:
+        if "input" in by_slot and by_slot["input"].part != "actuator":
+            own = by_slot["input"].file(size * AXLES[axle(end)], fault)
+            sections[f"actuators{end.replace('_', '.', 1)}"] = [f'kind = "damper"\n{own}']
+    own = "\n".join(sections.pop("parameters", []))
+    text = text.replace("[parameters]", f"[parameters]\n{own}", 1)
+    text += "".join(f"[{name}]\n" + "\n".join(lines) + "\n" for name, lines in sections.items())
+    measured = str([f"sprung_velocity{end}" for end in CORNERS[kind]]).replace("'", '"')
+    text += f"[controllers.held]\nmeasured = {measured}\ngain = {np.diag([-1200.0] * len(CORNERS[kind])).tolist()}\n"
+    return parse_vehicle(text)
+
+
+def own_law(names: tuple[str, ...], d, v, u):
+    """The pull of all in a suspension [N], in its own travel, and the shape of its input, for a factor of 1."""
+    rows = {ROWS[name].slot: ROWS[name] for name in names}
+    spring = rows["spring"].law(d, v, u) if "spring" in rows else SPRING * d
+    damper = rows["damper"].law(d, v, u) if "damper" in rows else DAMPER * v
+    if "adjustable damper with curves" in names:  # a curve in parallel adds what it has beyond its line
+        nominal = SOFT(v) + (DAMPER - SLOPES[0]) * setting(v)
+        damper = nominal + damper - DAMPER * v
+    stop = rows["stop"].law(d, v, u) if "stop" in rows else 0.0
+    return spring + damper + stop + (rows["input"].law(d, v, u) if "input" in rows else -u)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Law:
+    """The force of a suspension at its wheel.
+
+    Attributes:
+        load: static load [N].
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    ratio: str
+    end: str
+    size: float = 1.0
+
+    @property
+    def load(self) -> float:
+        p = read_vehicle(self.kind).parameters
+        if not self.end:
+            return p["sprung_mass"] * G
+        front, rear = p["axle_distance_front"], p["axle_distance_rear"]
+        share = (rear if "front" in self.end else front) / (front + rear)
+        return p["sprung_mass"] * G * share / (2 if "roll_inertia" in p else 1)
+
+    def travel(self, d):
+        """Motion ratios at deflections, and own travel."""
+        x, r = ratios_at(self.ratio, self.end)
+        line = make_interp_spline([-9.0, *x, 9.0], [r[0], *r, r[-1]], k=1)
+        whole = line.antiderivative()
+        return line(d), whole(d) - whole(0.0)
+
+    def __call__(self, d, v, u=0.0):
+        """Pull [N] at deflections and their rates, with the actuator's force or the coefficient beyond the nominal one."""
+        (r, D), s = self.travel(d), self.size * AXLES[axle(self.end)]
+        on = u / s  # forces have a factor, coefficients and actuators have not
+        return s * r * own_law(self.names, D, r * v, on) - (r / self.travel(0.0)[0] - 1) * self.load
+
+
+def laws(kind, names, ratio, size=1.0) -> list[Law]:
+    return [Law(kind, names, ratio, end, size) for end in CORNERS[kind]]
+
+
+def motions(vehicle: Vehicle, count: int = 400):
+    """Random deflections, rates and inputs that an adjustable damper can have, shapes (count,): most in the tables, some far off."""
+    rng = np.random.default_rng(1)
+    d, v = (far * rng.standard_normal(count) * rng.choice([1, 1, 1, 6], count) for far in (0.02, 0.3))
+    u = rng.uniform(-1.0, 1.0, count) * 1000.0
+    return d, v, u
+
+
+def without_part(vehicle: Vehicle, place, r, d, v, u):
+    """The pull of what a suspension has in its linear model alone."""
+    own = [one for one in vehicle.parts if one.place is place]
+    s = AXLES[axle(place.ending)]
+    total = 0.0 if any(one.place.stiffness == one.parameter for one in own) else r**2 * SPRING * s * d
+    if not any(place.damping == one.parameter for one in own):
+        total = total + r**2 * DAMPER * s * v
+    return total - (0.0 if any(one.part.inputs for one in own) else r * u)
+
+
+def test_every_part_has_a_row():
+    """Each part of the registry is in a row, and some row of each has numbers from outside the project."""
+    assert {row.part for row in ROWS.values()} == {*PARTS}
+    assert {row.part for row in ROWS.values() if row.known} | {"actuator"} == {*PARTS}
+
+
+def bare(part: Part) -> Part:
+    """The part without its motion ratio."""
+    return bare(part.part) if isinstance(part, AtRatio) else part
+
+
+PLACES = {
+    "spring": "suspension_stiffness",
+    "damper": "suspension_damping",
+    "stop": "[limits]\n",
+    "input": '[actuators]\nkind = "damper"\n',
+}
+
+
+@pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.known])
+def test_numbers_from_outside_the_project(name):
+    """A part has the forces of public tables, of closed forms and of its printed coefficients."""
+    (value, points), place = ROWS[name].known, PLACES[ROWS[name].slot]
+    text, curved = read_vehicle("quarter_car").text, not place.startswith("[")
+    text = re.sub(rf"(?m)^{place} = .*\n", "", text) + "[curves]\n" * curved if curved else text
+    (one,) = parse_vehicle(f"{text}\n{place}{' = ' * curved}{value}\n").parts
+    d, v, u, pull = np.array(points, dtype=float).T
+    np.testing.assert_allclose(one.part.pull(d, v, None, u), pull, rtol=1e-9, atol=1e-9)
+
+
+@all_cars
+@every
+def test_the_force_is_the_law(kind, names, ratio):
+    """The sum of a suspension's parts is the law from the numbers of the file, also far beyond its tables."""
+    vehicle = car(kind, names, ratio)
+    d, v, u = motions(vehicle)
+    for law, place in zip(laws(kind, names, ratio), vehicle.kind.suspensions, strict=True):
+        parts = [one.part for one in vehicle.parts if one.place is place]
+        found = sum(part.pull(d, v, None, u if part.inputs else 0.0) for part in parts)
+        expected, r = law(d, v, u), float(law.travel(0.0)[0])
+        found = found + without_part(vehicle, place, r, d, v, u)
+        assert np.abs(found - expected).max() < EXACT * np.abs(expected).max()
+
+
+def slope(f, h=1e-5):
+    """The mean of the slopes of both sides of 0, of a function that is a polynomial on each."""
+    near, far = ((f(e) - f(-e)) / (2 * e) for e in (h, 2 * h))
+    return 2 * near - far
+
+
+@all_cars
+@every
+def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
+    """The line of a part is its derivative at rest; beyond it is the rest of the pull, exactly 0 where the part follows its line."""
+    vehicle = car(kind, names, ratio)
+    d, v, u = motions(vehicle)
+    at, model, still = np.zeros(1), vehicle.wheel_model, dict.fromkeys("kcg", 0.0)
+    total = {place.deflection: dict(still) for place in vehicle.kind.suspensions}
+    for one in vehicle.parts:
+        part, line = one.part, one.part.line
+        derived = (
+            slope(lambda x: part.pull(at + x, at)), slope(lambda x: part.pull(at, at + x)), slope(lambda x: part.pull(at, at, None, x))
+        )  # fmt: skip
+        for found, expected in zip((line.stiffness, line.damping, line.gain if part.inputs else 0.0), derived, strict=True):
+            assert found == pytest.approx(float(expected[0] if part.inputs or found else 0.0), rel=1e-7, abs=1e-6)
+        total[one.deflection]["k"] += line.stiffness
+        total[one.deflection]["c"] += line.damping
+        own = u if part.inputs else 0.0
+        pull, beyond = part.pull(d, v, None, own), part.beyond(d, v, None, own)
+        assert np.abs(beyond - (pull - line(d, v, own))).max() <= EXACT * np.abs(pull).max()
+        straight = next((ROWS[name].line for name in names if isinstance(bare(part), part_class(ROWS[name].part))), None)
+        if straight and ratio != "over travel" and part.inputs == 0:
+            r = 1.2 if ratio == "constant" else 1.0
+            within = (np.abs(d) < straight[0] / r) & (np.abs(v) < straight[1] / r)
+            assert within.any()
+            assert not beyond[within].any()
+    wheel, rest = vehicle.kind.at_wheels(vehicle.parameters), Law(kind, names, ratio, "")
+    for law, place in zip(laws(kind, names, ratio), vehicle.kind.suspensions, strict=True):
+        assert wheel[place.stiffness] == pytest.approx(float(slope(lambda x: law(at + x, at))[0]), rel=1e-7)
+        assert wheel[place.damping] == pytest.approx(float(slope(lambda x: law(at, at + x))[0]), rel=1e-7)
+    del model, rest
+
+
+@all_cars
+@every
+def test_energy_is_stored_or_lost(kind, names, ratio):
+    """The energy that a part stores is the integral of its pull; what it does not store it loses on every closed path."""
+    vehicle, t = car(kind, names, ratio), np.linspace(0.0, 2 * np.pi, 20001)
+    x, rng = np.linspace(-0.08, 0.08, 16001), np.random.default_rng(2)
+    (a, b), low = rng.normal(0, [[0.03], [0.01]], (2, 4)), np.array([1, 2, 3, 5])
+    d = a @ np.sin(np.outer(low, t)) + b @ np.cos(np.outer(low, t))
+    v = 5.0 * (a @ (low[:, None] * np.cos(np.outer(low, t))) - b @ (low[:, None] * np.sin(np.outer(low, t))))
+    for one in vehicle.parts:
+        part = one.part
+        if part.inputs and not vehicle.dampers:
+            continue  # an actuator gives and takes
+        for u in (0.0, *((bare(part).low, bare(part).high) if part.inputs else ())):
+            supplied = cumulative_simpson(part.pull(d, v, None, np.full_like(d, u)) * v, x=t / 5.0, initial=0.0)
+            lost = supplied - (part.stored(d) - part.stored(d[:1]))
+            scale = np.abs(supplied).max() + 1e-9
+            assert np.diff(lost).min() > -1e-5 * scale
+            assert (abs(lost[-1]) < 1e-5 * scale) == part.stores
+        if part.stores:
+            pull = part.pull(x, np.zeros_like(x))
+            energy = cumulative_simpson(pull, x=x, initial=0.0)
+            energy -= energy[len(x) // 2]
+            assert np.abs(part.stored(x) - energy).max() < 1e-7 * np.abs(energy).max()
+            beyond = part.stored(x) - part.line.stiffness * x**2 / 2
+            assert np.abs(part.stored_beyond(x) - beyond).max() <= EXACT * np.abs(energy).max()
+        else:
+            assert not part.stored(x).any()
+
+
+@all_cars
+@every
+def test_different_vehicles_are_stacked(kind, names, ratio):
+    """The forces of vehicles that differ in parameters, and in tables, are those of each alone."""
+    first, other = car(kind, names, ratio), car(kind, names, ratio, 1.3)
+    name = next(name for name in first.parameters if name.startswith(("suspension", "motion", "sprung")))
+    cars = [first, first.with_parameters(**{name: 1.02 * first.parameters[name]}), other, first]
+    c, rng = len(CORNERS[kind]), np.random.default_rng(3)
+    d, v, u = (np.repeat(far * rng.standard_normal((50, 1, c)), len(cars), axis=1) for far in (0.03, 0.4, 900.0))
+    found = SuspensionForces(cars)(d, v, u)
+    for i, one in enumerate(cars):
+        own = slice(i, i + 1)
+        alone = SuspensionForces([one])(d[:, own], v[:, own], u[:, own])[:, 0]
+        assert np.abs(found[:, i] - alone).max() <= EXACT * np.abs(alone).max()
+    assert {"actuator", "adjustable damper"} & {*names} or not np.allclose(found[:, 0], found[:, 2], rtol=0.1)
+
+
+def by_stages(vehicle: Vehicle) -> Vehicle:
+    """The vehicle whose parts have no form native to MuJoCo."""
+    other = dataclasses.replace(vehicle)
+    vars(other)["parts"] = tuple(dataclasses.replace(one, part=AtRatio(one.part, Constant())) for one in vehicle.parts)
+    return other
+
+
+@all_cars
+@every
+def test_native_forms_are_the_stages(kind, names, ratio):
+    """At random states MuJoCo's accelerations are those of a model in which a motor pulls with what is beyond the lines."""
+    vehicle, rng, c = car(kind, names, ratio), np.random.default_rng(4), len(CORNERS[kind])
+    cars = (vehicle, by_stages(vehicle))
+    models = [build_model(one, 1e-3, drawn=False) for one in cars]
+    inputs = [vehicle.linear_model.inputs.index(f"control_force{end}") for end in CORNERS[kind]]
+    worst, most = 0.0, 0.0
+    for _ in range(40):
+        q, rates, u = 0.03 * rng.standard_normal(models[0].nq), 0.4 * rng.standard_normal(models[0].nv), rng.uniform(-1e3, 1e3, c)
+        found = []
+        for one, model in zip(cars, models, strict=True):
+            data, names_of = mujoco.MjData(model), [model.actuator(i).name for i in range(model.nu)]
+            data.qpos[:], data.qvel[:] = q, rates
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            tendons = [model.tendon(place.tendon).id for place in vehicle.kind.suspensions]
+            d, v = (data.ten_length - model.tendon_length0)[tendons], data.ten_velocity[tendons]
+            pulls = SuspensionForces([one], by_motor=True)(d[None], v[None], u[None])[0]
+            for place, pull, i in zip(vehicle.kind.suspensions, pulls, inputs, strict=True):
+                for j, name in enumerate(names_of):
+                    if re.fullmatch(rf"(fitted_)?{place.force}(_\d+)?", name):  # several actuators may be one damper
+                        data.ctrl[j] = u[i]
+                    if name == f"fitted_part_{place.tendon}":
+                        data.ctrl[j] = pull
+            mujoco.mj_forward(model, data)
+            found.append(np.array(data.qacc))
+        worst, most = max(worst, np.abs(found[0] - found[1]).max()), max(most, np.abs(found[0]).max())
+    assert worst < EXACT * most

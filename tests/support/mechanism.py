@@ -1,0 +1,166 @@
+"""Equations of motion from a mass matrix, potential energy and lengths alone, beside those of the project.
+
+Coordinates are q = (heave, pitch, roll; heights of the hubs). With the lengths L(q) of suspensions, tyres and anti-roll bars,
+their Jacobian J, and the force that pulls the ends of each together, Lagrange's equations are
+
+    M q'' = -J' (forces) - M' q' + d(q' M q' / 2) / dq - dV / dq.
+
+All derivatives are complex steps, exact to rounding. Forces of suspensions are a function of deflections, rates and inputs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.vehicle.vehicle import Vehicle
+
+STEP = 1e-200  # of a complex step
+G = 9.81  # m/s2
+STRUT = 0.44  # m, of every strut at rest in the MJCF
+CORNERS = {
+    "quarter_car": ("",),
+    "half_car": ("_front", "_rear"),
+    "full_car": tuple(f"_{axle}_{side}" for axle in ("front", "rear") for side in ("left", "right")),
+}
+Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (d, v, u), each (T, c) -> pulls at the wheels (T, c)
+
+
+def axle(corner: str) -> str:
+    """The suffix of a corner's axle."""
+    return corner.removesuffix("_left").removesuffix("_right")
+
+
+def jacobian(f, q):
+    """Returns df/dq, shape (T, ..., n), for f of rows q, shape (T, n)."""
+    return np.stack([np.imag(f(q + 1j * STEP * row)) / STEP for row in np.eye(q.shape[1])], axis=-1)
+
+
+def rk4(rate, x, h):
+    """Returns the states after one step of h, by the classical Runge-Kutta method."""
+    k1 = rate(x)
+    k2 = rate(x + h / 2 * k1)
+    k3 = rate(x + h / 2 * k2)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """Car of c corners whose body has k of heave, pitch and roll.
+
+    Attributes:
+        forces: forces at the wheels, all of a suspension but the load that it carries at rest.
+    """
+
+    vehicle: Vehicle
+    forces: Forces
+
+    def __post_init__(self):
+        p, corners = self.vehicle.parameters, CORNERS[self.vehicle.kind.name]
+
+        def each(name):
+            return np.array([p.get(f"{name}{axle(end)}", 0.0) for end in corners])
+
+        wide = [p.get(f"track{axle(end)}", p.get("track", 0.0)) / 2 for end in corners]
+        x = each("axle_distance") * [-1 if "rear" in end else 1 for end in corners]
+        y = np.array(wide) * [1 if "left" in end else -1 for end in corners]
+        mass, at = p["sprung_mass"], dict(zip(("_front", "_rear"), (x.max(), -x.min()), strict=True))
+        share = [at[{"_front": "_rear", "_rear": "_front"}[axle(end)]] / sum(at.values()) if end else 1.0 for end in corners]
+        load = mass * G * np.array(share) / (2 if "roll_inertia" in p else 1)
+        arms, rolls = [0.0, 0.0], "roll_centre_height_front" in p
+        if pitches := "pitch_centre_height" in p:
+            arms[0] = p["centre_height"] - p["pitch_centre_height"]
+        if rolls:
+            front, rear = p["roll_centre_height_front"], p["roll_centre_height_rear"]
+            arms[1] = p["centre_height"] - (front * at["_rear"] + rear * at["_front"]) / sum(at.values())
+        bars = []
+        for end in ("_front", "_rear"):
+            if k := p.get(f"anti_roll_stiffness{end}", 0.0):
+                bars.append(
+                    (k, np.array([np.sign(b) / (2 * abs(b)) * (axle(one) == end) for one, b in zip(corners, y, strict=True)]))
+                )
+        inertia = [p[name] for name in ("pitch_inertia", "roll_inertia") if name in p]
+        vars(self).update(
+            x=x, y=y, mass=mass, load=load, arms=arms, bars=bars, inertia=inertia, k=1 + len(inertia), c=len(corners),
+            guided=rolls or pitches, unsprung=each("unsprung_mass"), tyre=each("tyre_stiffness"), rubber=each("tyre_damping"),
+        )  # fmt: skip
+
+    def angles(self, q):
+        """Returns pitch and roll, shapes (T,)."""
+        return [q[:, i] if i < self.k else np.zeros_like(q[:, 0]) for i in (1, 2)]
+
+    def masses(self, q):
+        """Returns M, shape (T, n, n). The centre of mass is at (s sin pitch, -b sin roll, z - a + s cos pitch)."""
+        (a, b), (theta, phi) = self.arms, self.angles(q)
+        M, s = np.zeros((len(q), self.k + self.c, self.k + self.c), dtype=q.dtype), a - b * (1 - np.cos(phi))
+        M[:, 0, 0] = self.mass
+        if self.k > 1:
+            M[:, 1, 1] = self.inertia[0] * np.cos(phi) ** 2 + max(self.inertia) * np.sin(phi) ** 2 + self.mass * s**2
+            M[:, 0, 1] = M[:, 1, 0] = -self.mass * s * np.sin(theta)
+        if self.k > 2:
+            M[:, 2, 2] = self.inertia[1] + self.mass * b**2
+            M[:, 0, 2] = M[:, 2, 0] = -self.mass * b * np.sin(phi) * np.cos(theta)
+        hubs = np.arange(self.k, self.k + self.c)
+        M[:, hubs, hubs] = self.unsprung
+        return M
+
+    def potential(self, q):
+        """Returns V of the weight [J], shape (T,)."""
+        (a, b), (theta, phi) = self.arms, self.angles(q)
+        s = a - b * (1 - np.cos(phi))
+        return G * (self.mass * (q[:, 0] - a + s * np.cos(theta)) + q[:, self.k :] @ self.unsprung)
+
+    def lengths(self, q):
+        """Returns deflections of the suspensions, heights of the hubs, and angles of the bars, shape (T, 2 c + bars)."""
+        theta, phi, hubs = *(one[:, None] for one in self.angles(q)), q[:, self.k :]
+        if self.guided or self.k == 1:
+            d = q[:, :1] - theta * self.x + phi * self.y - hubs
+        else:
+            over = np.sin(phi) * self.y
+            along, across = self.x * np.cos(theta) + over * np.sin(theta) - self.x, self.y * np.cos(phi) - self.y
+            rise = q[:, :1] - hubs - self.x * np.sin(theta) + over * np.cos(theta)
+            length = np.sqrt(along**2 + across**2 + (STRUT + rise) ** 2)
+            d = (along**2 + across**2) / (length + STRUT + rise) + rise  # length - STRUT, without its rounding
+        return np.concatenate([d, hubs, *(phi - (hubs @ arm)[:, None] for _, arm in self.bars)], axis=1)
+
+    def rate(self, x, heights, u=0.0, velocities=0.0, loads=0.0):
+        """Returns x' of states x = (q, q'), shape (T, 2 n).
+
+        Args:
+            heights, velocities: of the road under the wheels [m, m/s], shape (T, c).
+            u: inputs of the suspensions' forces, shape (T, c).
+            loads: generalized forces on q, shape (T, n).
+        """
+        q, rates = np.split(x, 2, axis=1)
+        c, J, dM, lengths = self.c, jacobian(self.lengths, q), jacobian(self.masses, q), self.lengths(q)
+        speeds = np.einsum("tij,tj->ti", J, rates)
+        pull = np.zeros_like(lengths)
+        pull[:, :c] = self.forces(lengths[:, :c], speeds[:, :c], np.broadcast_to(u, lengths[:, :c].shape)) - self.load
+        squeeze = self.load + self.unsprung * G - self.tyre * (lengths[:, c : 2 * c] - heights)
+        pull[:, c : 2 * c] = -np.maximum(squeeze + self.rubber * (velocities - speeds[:, c : 2 * c]), 0.0)
+        for i, (k, _) in enumerate(self.bars, 2 * c):
+            pull[:, i] = k * lengths[:, i]
+        bias = np.einsum("tijk,tj,tk->ti", dM, rates, rates) - np.einsum("tjki,tj,tk->ti", dM, rates, rates) / 2
+        push = loads - np.einsum("tij,ti->tj", J, pull) - bias - jacobian(self.potential, q)
+        return np.concatenate([rates, np.linalg.solve(self.masses(q), push[..., None])[..., 0]], axis=1)
+
+    def linearised(self, modes):
+        """Returns A, B, Bw and Br of the states (d, modes t, body's rates, hubs' rates), by differences of order 6."""
+        n, c = self.k + self.c, self.c
+        still, unit = np.zeros((2 * n, 2 * n)), np.eye(c)
+
+        def slope(f, h):
+            return sum(w * (f(i * h) - f(-i * h)) / h for i, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))).T
+
+        A = slope(lambda e: self.rate(e * np.eye(2 * n), 0.0), 2e-3)
+        Br, B, Bw = (
+            slope(lambda e, i=i: self.rate(still[:c], *(e * unit * (i == j) for j in range(3))), h)
+            for i, h in enumerate((2e-3, 100.0, 0.1))
+        )
+        T, P = np.zeros((len(A), len(A))), len(modes)
+        T[:c, :n] = jacobian(self.lengths, still[:1, :n])[0, :c]
+        T[c : c + P, self.k : n], T[c + P :, n:] = modes, np.eye(n)
+        R = np.zeros((len(A), c))
+        R[c : c + P] = -modes
+        A = T @ A @ np.linalg.inv(T)
+        return A, T @ B, R + T @ Bw, T @ Br - A @ R
