@@ -50,6 +50,7 @@ from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
+from models.vehicle.motion_ratios import ratio_at, travel_at
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging
@@ -243,8 +244,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     forces = np.stack([response[name] for name in inputs], axis=-1)
     acting, work = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:])
     for j, name in enumerate(inputs):
-        length, table = path.stroke(vehicle, name), vehicle.ratio_tables.get(vehicle.kind.pushed(name))
-        ratio = table or partial(np.full_like, fill_value=vehicle.motion_ratios[name])
+        length, ratio = path.stroke(vehicle, name), partial(ratio_at, vehicle, name)
         speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
         if name in dampers:
             work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
@@ -252,7 +252,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
             power = (dampers[name].ramp(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
         elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
-            travel = table.travel if table else partial(np.multiply, vehicle.motion_ratios[name])
+            travel = partial(travel_at, vehicle, name)
             work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
         else:
             middle = (inner[0] + inner[1]) / 2
